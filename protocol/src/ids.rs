@@ -1,0 +1,57 @@
+//! Newtypes for the numbers that both ends exchange, so that two kinds cannot be swapped.
+
+use serde::{Deserialize, Serialize};
+
+/// A vertex slot of the [`Replica`](crate::mesh::Replica): an index that outlives edits. Slots are taken smallest free
+/// first on both ends, so the free set follows from the occupied one and no slot has to be named when it is taken.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+#[repr(transparent)]
+pub struct VertexSlot(pub u32);
+
+impl VertexSlot {
+    /// Marks "no vertex" in packed arrays.
+    pub const NONE: Self = Self(u32::MAX);
+
+    /// Index into slot arrays.
+    #[inline]
+    pub fn index(self) -> usize {
+        self.0 as usize
+    }
+
+    /// The two face slots that the op which made this slot owns: `f_l`, then `f_r`.
+    #[inline]
+    pub fn faces(self) -> [FaceSlot; 2] {
+        [FaceSlot(2 * self.0), FaceSlot(2 * self.0 + 1)]
+    }
+}
+
+/// A face slot. Slot `v` owns face slots `2v` and `2v + 1`.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+#[repr(transparent)]
+pub struct FaceSlot(pub u32);
+
+impl FaceSlot {
+    /// Index into slot arrays.
+    #[inline]
+    pub fn index(self) -> usize {
+        self.0 as usize
+    }
+
+    /// The vertex slot that owns this face slot.
+    #[inline]
+    pub fn owner(self) -> VertexSlot {
+        VertexSlot(self.0 / 2)
+    }
+}
+
+/// Number of a batch of ops within a session, counted from 1 after each base mesh.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default, Serialize, Deserialize)]
+pub struct BatchSeq(pub u32);
+
+/// Number of a view within a session, given by the client, increasing.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default, Serialize, Deserialize)]
+pub struct ViewSeq(pub u32);
+
+/// Identity of a model: the order-independent hash of the oriented triangles of its complete, lattice-rounded mesh.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default, Serialize, Deserialize)]
+pub struct ModelHash(pub u64);

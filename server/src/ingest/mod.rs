@@ -1,0 +1,1 @@
+//! From a mesh file to a vertex-split DAG: read, clean, simplify, hierarchy.

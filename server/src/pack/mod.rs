@@ -1,0 +1,3 @@
+//! The pack: one immutable file per model.
+
+pub mod record;
