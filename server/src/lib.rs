@@ -7,3 +7,4 @@
 pub mod ingest;
 pub mod mesh;
 pub mod pack;
+pub mod session;

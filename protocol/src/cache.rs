@@ -1,0 +1,312 @@
+//! The mirrored operation cache (Southern, Blake and Marais 2001, section 5.2, "Client Cache"): what collapsed recently,
+//! kept alike at both ends, so that splitting again costs an address and a flag.
+//!
+//! Repeated splits of a vertex are totally ordered, so the only split of `s` that can follow a collapse onto `s` is the one
+//! that was undone: each vertex has a stack of cached splits, and "split `s`" names its top. Splits cached on a vertex that
+//! collapses itself are nested in that vertex's entry and come back with it.
+
+use crate::ids::VertexSlot;
+use crate::mesh::{NewVertex, SplitUndo};
+
+const NONE: u32 = u32::MAX;
+/// Tag of [`Entry::holder`]: the stack hangs from a slot instead of from another entry.
+const AT_SLOT: u32 = 1 << 31;
+
+/// A cached split.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct CachedSplit {
+    /// What the split inserts.
+    pub vertex: NewVertex,
+    /// Left slot when it collapsed, [`VertexSlot::NONE`] without `f_l`.
+    pub left: VertexSlot,
+    /// Right slot when it collapsed, [`VertexSlot::NONE`] without `f_r`.
+    pub right: VertexSlot,
+    /// Whether `left` and `right` may be used to guess the cut.
+    pub cut_known: bool,
+}
+
+#[derive(Clone, Debug)]
+struct Entry {
+    split: CachedSplit,
+    /// Next entry below in the same stack.
+    below: u32,
+    /// What points at this entry: the entry above, or (for a top) `AT_SLOT | slot` or the entry it is nested in.
+    holder: u32,
+    /// Whether this entry is the top of a nested stack (then `holder` is the enclosing entry).
+    is_nested_top: bool,
+    /// Top of the stack of the inserted vertex's own cached splits.
+    nested: u32,
+    /// Neighbours in order of pushing.
+    older: u32,
+    newer: u32,
+}
+
+/// Bounded in entries; the oldest entry goes first. Both ends run this code on the same collapses and splits.
+#[derive(Clone, Debug)]
+pub struct SplitCache {
+    capacity: u32,
+    len: u32,
+    entries: Vec<Entry>,
+    free: Vec<u32>,
+    /// Top of each slot's stack.
+    tops: Vec<u32>,
+    oldest: u32,
+    newest: u32,
+}
+
+impl SplitCache {
+    /// A cache of at most `capacity` entries, nested ones counted.
+    pub fn new(capacity: u32) -> Self {
+        Self { capacity, len: 0, entries: Vec::new(), free: Vec::new(), tops: Vec::new(), oldest: NONE, newest: NONE }
+    }
+
+    /// Entries held.
+    pub fn len(&self) -> u32 {
+        self.len
+    }
+
+    /// Whether nothing is cached.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// Most entries held.
+    pub fn capacity(&self) -> u32 {
+        self.capacity
+    }
+
+    /// The split that `slot` would undo next, if it is cached.
+    pub fn top(&self, slot: VertexSlot) -> Option<&CachedSplit> {
+        match self.tops.get(slot.index()) {
+            None | Some(&NONE) => None,
+            Some(&top) => Some(&self.entries[top as usize].split),
+        }
+    }
+
+    /// Records that the split which made `t` was undone. `t`'s own stack is nested in the new entry. Evicts the oldest
+    /// entry when full. O(1).
+    pub fn push(&mut self, t: VertexSlot, undo: &SplitUndo) {
+        let nested = self.take_top(t);
+        if self.capacity == 0 {
+            return;
+        }
+        if self.len == self.capacity {
+            // Whatever is nested in an entry collapsed before it did, so the oldest entry has nothing nested in it and
+            // nothing below it.
+            self.evict_oldest();
+        }
+        // The eviction may have taken the bottom of `t`'s own stack, even all of it.
+        let nested =
+            if nested != NONE && self.entries[nested as usize].holder == AT_SLOT | t.0 { nested } else { NONE };
+        if self.tops.len() <= undo.s.index() {
+            self.tops.resize(undo.s.index() + 1, NONE);
+        }
+        let below = self.tops[undo.s.index()];
+        let entry = Entry {
+            split: CachedSplit { vertex: undo.vertex, left: undo.left, right: undo.right, cut_known: true },
+            below,
+            holder: AT_SLOT | undo.s.0,
+            is_nested_top: false,
+            nested,
+            older: self.newest,
+            newer: NONE,
+        };
+        let index = match self.free.pop() {
+            Some(index) => {
+                self.entries[index as usize] = entry;
+                index
+            }
+            None => {
+                self.entries.push(entry);
+                self.entries.len() as u32 - 1
+            }
+        };
+        if nested != NONE {
+            self.entries[nested as usize].holder = index;
+            self.entries[nested as usize].is_nested_top = true;
+        }
+        if below != NONE {
+            self.entries[below as usize].holder = index;
+        }
+        match self.newest {
+            NONE => self.oldest = index,
+            newest => self.entries[newest as usize].newer = index,
+        }
+        self.newest = index;
+        self.tops[undo.s.index()] = index;
+        self.len += 1;
+    }
+
+    /// Takes the top of `s`'s stack, which is being split into the new slot `t`; `t` gets its own stack back. O(1).
+    pub fn pop(&mut self, s: VertexSlot, t: VertexSlot) -> Option<CachedSplit> {
+        let index = match self.tops.get(s.index()) {
+            None | Some(&NONE) => return None,
+            Some(&top) => top,
+        };
+        let Entry { split, below, nested, .. } = self.entries[index as usize].clone();
+        self.tops[s.index()] = below;
+        if below != NONE {
+            self.entries[below as usize].holder = AT_SLOT | s.0;
+        }
+        if nested != NONE {
+            if self.tops.len() <= t.index() {
+                self.tops.resize(t.index() + 1, NONE);
+            }
+            self.tops[t.index()] = nested;
+            self.entries[nested as usize].holder = AT_SLOT | t.0;
+            self.entries[nested as usize].is_nested_top = false;
+        }
+        self.unlink(index);
+        Some(split)
+    }
+
+    /// Drops what is cached on slots that a despawn frees.
+    pub fn drop_slots(&mut self, slots: &[u32]) {
+        let mut pending: Vec<u32> = slots.iter().map(|&slot| self.take_top(VertexSlot(slot))).collect();
+        while let Some(index) = pending.pop() {
+            if index != NONE {
+                let Entry { below, nested, .. } = self.entries[index as usize];
+                pending.extend([below, nested]);
+                self.unlink(index);
+            }
+        }
+    }
+
+    /// Forgets every stored cut, as both ends do when a batch says so.
+    pub fn forget_cuts(&mut self) {
+        self.entries.iter_mut().for_each(|entry| entry.split.cut_known = false);
+    }
+
+    /// Bytes of memory held.
+    pub fn heap_bytes(&self) -> usize {
+        self.entries.capacity() * size_of::<Entry>() + (self.free.capacity() + self.tops.capacity()) * 4
+    }
+
+    fn take_top(&mut self, slot: VertexSlot) -> u32 {
+        match self.tops.get_mut(slot.index()) {
+            Some(top) => std::mem::replace(top, NONE),
+            None => NONE,
+        }
+    }
+
+    fn evict_oldest(&mut self) {
+        let index = self.oldest;
+        let Entry { below, holder, is_nested_top, nested, .. } = self.entries[index as usize];
+        debug_assert!(below == NONE && nested == NONE, "what is below or nested is older");
+        if holder & AT_SLOT != 0 {
+            // The slot's top, unless the caller has just taken it.
+            let top = &mut self.tops[(holder & !AT_SLOT) as usize];
+            if *top == index {
+                *top = NONE;
+            }
+        } else if is_nested_top {
+            self.entries[holder as usize].nested = NONE;
+        } else {
+            self.entries[holder as usize].below = NONE;
+        }
+        self.unlink(index);
+    }
+
+    /// Takes an entry out of the order of pushing and frees it.
+    fn unlink(&mut self, index: u32) {
+        let Entry { older, newer, .. } = self.entries[index as usize];
+        match older {
+            NONE => self.oldest = newer,
+            older => self.entries[older as usize].newer = newer,
+        }
+        match newer {
+            NONE => self.newest = older,
+            newer => self.entries[newer as usize].older = older,
+        }
+        self.entries[index as usize].holder = NONE;
+        self.free.push(index);
+        self.len -= 1;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeMap;
+
+    /// The dull twin: trees of entries with their time of pushing, searched in full.
+    #[derive(Clone, Debug)]
+    struct Node {
+        x: i32,
+        pushed: u64,
+        nested: Vec<Node>,
+    }
+
+    #[derive(Default)]
+    struct Naive {
+        stacks: BTreeMap<u32, Vec<Node>>,
+        clock: u64,
+    }
+
+    fn count(stack: &[Node]) -> u32 {
+        stack.iter().map(|n| 1 + count(&n.nested)).sum()
+    }
+
+    fn oldest(stack: &[Node]) -> u64 {
+        stack.iter().map(|n| n.pushed.min(oldest(&n.nested))).min().unwrap_or(u64::MAX)
+    }
+
+    fn remove(stack: &mut Vec<Node>, pushed: u64) {
+        stack.retain(|n| n.pushed != pushed);
+        stack.iter_mut().for_each(|n| remove(&mut n.nested, pushed));
+    }
+
+    #[test]
+    fn agrees_with_nested_vectors() {
+        for seed in 0..40 {
+            let mut rng = fastrand::Rng::with_seed(seed);
+            let capacity = rng.u32(0..20);
+            let (mut cache, mut naive) = (SplitCache::new(capacity), Naive::default());
+            // A forest of vertices: slot -> the slot it was split from. A vertex may collapse when nothing was split off it.
+            let mut alive: BTreeMap<u32, Option<u32>> = (0..4).map(|s| (s, None)).collect();
+            let mut last: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+            for step in 0..3000 {
+                let slots: Vec<u32> = alive.keys().copied().collect();
+                let v = slots[rng.usize(0..slots.len())];
+                if rng.bool() && alive.len() < 40 {
+                    let t = (0..).find(|t| !alive.contains_key(t)).unwrap();
+                    let expected = naive.stacks.entry(v).or_default().pop();
+                    let got = cache.pop(VertexSlot(v), VertexSlot(t));
+                    assert_eq!(got.map(|c| c.vertex.position[0]), expected.as_ref().map(|n| n.x), "seed {seed} {step}");
+                    naive.stacks.insert(t, expected.map(|n| n.nested).unwrap_or_default());
+                    alive.insert(t, Some(v));
+                    last.entry(v).or_default().push(t);
+                } else if let Some(Some(s)) = alive.get(&v).copied() {
+                    // Only the last vertex split from s, and only when it has no split vertices itself.
+                    if last[&s].last() != Some(&v) || last.get(&v).is_some_and(|l| !l.is_empty()) {
+                        continue;
+                    }
+                    last.get_mut(&s).unwrap().pop();
+                    alive.remove(&v);
+                    let x = rng.i32(..);
+                    let vertex = NewVertex { position: [x, 0, 0], ..Default::default() };
+                    let undo = SplitUndo { s: VertexSlot(s), vertex, left: VertexSlot(0), right: VertexSlot::NONE };
+                    cache.push(VertexSlot(v), &undo);
+                    let nested = naive.stacks.remove(&v).unwrap_or_default();
+                    naive.clock += 1;
+                    if capacity > 0 {
+                        let pushed = naive.clock;
+                        naive.stacks.entry(s).or_default().push(Node { x, pushed, nested });
+                        while naive.stacks.values().map(|s| count(s)).sum::<u32>() > capacity {
+                            let first = naive.stacks.values().map(|s| oldest(s)).min().unwrap();
+                            naive.stacks.values_mut().for_each(|s| remove(s, first));
+                        }
+                    }
+                } else if step % 97 == 0 {
+                    cache.drop_slots(&[v]);
+                    naive.stacks.remove(&v);
+                }
+                assert_eq!(cache.len(), naive.stacks.values().map(|s| count(s)).sum::<u32>());
+                let top = |s| naive.stacks.get(&s).and_then(|s| s.last()).map(|n| n.x);
+                for &slot in alive.keys() {
+                    assert_eq!(cache.top(VertexSlot(slot)).map(|c| c.vertex.position[0]), top(slot));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,14 @@
+//! The current mesh as both ends hold it.
+//!
+//! [`Replica`] is connectivity, positions and colours plus what an op needs to be undone; [`DirtySlots`] says what changed
+//! for whoever copies the mesh elsewhere (GPU buffers).
+
+mod bits;
+mod dirty;
+mod patch;
+mod replica;
+
+pub use bits::SlotSet;
+pub use dirty::DirtySlots;
+pub use patch::{Patch, PatchError, twins_of};
+pub use replica::{ApplyError, Cut, Fan, NewVertex, Replica, SplitUndo};

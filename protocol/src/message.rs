@@ -1,0 +1,159 @@
+//! Control messages: plain types made for the wire.
+
+use serde::{Deserialize, Serialize};
+
+use crate::ids::{BatchSeq, ModelHash, ViewSeq};
+use crate::quant::Lattice;
+use crate::view::View;
+
+/// Version of everything in `PROTOCOL.md`. Both ends must have the same.
+pub const PROTOCOL_VERSION: u16 = 1;
+
+/// What a client says.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum ClientMessage {
+    /// First message of a connection.
+    Hello(Hello),
+    /// What to show from now on. Only the newest view counts.
+    View {
+        /// Increases with each view.
+        seq: ViewSeq,
+        /// The request.
+        view: View,
+    },
+    /// The batch and all before it are applied.
+    Ack {
+        /// The newest batch applied.
+        seq: BatchSeq,
+    },
+    /// The client's state is of no use (a digest differed, a batch did not decode): send the base again.
+    Reset {
+        /// The batch at fault.
+        seq: BatchSeq,
+    },
+}
+
+/// Opens a session.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Hello {
+    /// [`PROTOCOL_VERSION`] of the client.
+    pub version: u16,
+    /// Entries of the mirrored op cache that the client would like, or `None` for the server's default.
+    pub cache_entries: Option<u32>,
+    /// Most bytes per second that the server may send, or `None`.
+    pub byte_rate: Option<u32>,
+}
+
+/// What a server says.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum ServerMessage {
+    /// Answers [`Hello`]; the base mesh follows in the same message.
+    Welcome {
+        /// The model.
+        model: ModelInfo,
+        /// Entries of the mirrored op cache, fixed for the session.
+        cache_entries: u32,
+        /// The base mesh, see [`decode_base`](crate::op::decode_base).
+        base: Vec<u8>,
+    },
+    /// Ops, see [`decode_batch`](crate::op::decode_batch).
+    Batch(Batch),
+    /// The mesh is exactly what the view asks for; nothing more comes until the view changes.
+    Settled(Settled),
+    /// Answers [`ClientMessage::Reset`]: go back to the base, an empty cache and fresh coder contexts. Batches count from 1
+    /// again.
+    Restart,
+}
+
+/// The model as a client needs to know it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ModelInfo {
+    /// Identity of the complete mesh.
+    pub hash: ModelHash,
+    /// Name for people, may be empty.
+    pub title: String,
+    /// Lattice of all positions.
+    pub lattice: Lattice,
+    /// Box of the complete mesh in lattice steps.
+    pub box_min: [i32; 3],
+    /// See `box_min`.
+    pub box_max: [i32; 3],
+    /// Whether vertices have colours.
+    pub has_colors: bool,
+    /// Whether splits may move the vertex that they split.
+    pub has_moves: bool,
+    /// Whether the inside of the surface can be seen, so that back faces should be drawn.
+    pub is_open: bool,
+    /// Triangles of the complete mesh.
+    pub triangles: u64,
+    /// Vertices of the complete mesh.
+    pub vertices: u64,
+    /// Smallest triangle limit that a view may ask for: the base's triangles.
+    pub smallest_limit: u32,
+    /// Edges whose faces meet at a larger angle than this are drawn sharp, in degrees.
+    pub crease_angle_deg: f32,
+}
+
+/// Ops sent together.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Batch {
+    /// Counts from 1 after each base.
+    pub seq: BatchSeq,
+    /// The view that the ops were chosen for.
+    pub view: ViewSeq,
+    /// Triangle limit in force: the count after an op is at most this, or at most what it was before the op.
+    pub limit: u32,
+    /// Error threshold in force, in pixels (of the complete mesh's error for complete views, in lattice steps).
+    pub lambda_px: f32,
+    /// Low half of the replica's digest after the batch.
+    pub digest: u32,
+    /// The ops.
+    pub ops: Vec<u8>,
+}
+
+/// See [`ServerMessage::Settled`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Settled {
+    /// The view that is settled.
+    pub view: ViewSeq,
+    /// Last batch sent.
+    pub seq: BatchSeq,
+    /// Largest priority of an op that is not applied, in pixels (lattice steps for complete views); 0 if all are.
+    pub error_px: f32,
+    /// Whether the triangle limit kept wanted ops out.
+    pub limited: bool,
+}
+
+/// Why a WebSocket was closed. The numbers are those of the close frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u16)]
+pub enum CloseCode {
+    /// The peer is done.
+    Normal = 1000,
+    /// The server is shutting down.
+    GoingAway = 1001,
+    /// A frame was malformed or made no sense.
+    Malformed = 4000,
+    /// The client speaks another version of the protocol.
+    Version = 4001,
+    /// The triangle limit is below the model's smallest.
+    LimitTooSmall = 4002,
+    /// The server is full.
+    Full = 4003,
+    /// The model's file is damaged.
+    ModelDamaged = 4004,
+    /// The server failed.
+    Internal = 4005,
+    /// The client did not say hello, or sent nothing for too long.
+    Timeout = 4006,
+}
+
+impl CloseCode {
+    /// The code with this number.
+    pub fn from_number(number: u16) -> Option<Self> {
+        use CloseCode::*;
+        [Normal, GoingAway, Malformed, Version, LimitTooSmall, Full, ModelDamaged, Internal, Timeout]
+            .into_iter()
+            .find(|code| *code as u16 == number)
+    }
+}

@@ -1,0 +1,597 @@
+//! Batches: many ops coded in rounds against the state of both ends.
+//!
+//! Order: collapses and despawns, then spawns, then splits. Within each kind the first round names its members as gaps in
+//! an ordered candidate set; a later round flags only those candidates that the round before it can have made legal.
+
+use std::collections::BTreeSet;
+
+use super::geometry::GeometryModels;
+use super::patch::{PatchModels, fits};
+use super::range_coder::{BitCoder, Decoder, Encoder, NumberModel, Prob};
+use crate::cache::SplitCache;
+use crate::ids::VertexSlot;
+use crate::limits::MAX_OPS_PER_BATCH;
+use crate::mesh::{ApplyError, Cut, Fan, NewVertex, Patch, PatchError, Replica, SlotSet};
+
+/// Contexts of gaps by expected gap (bit length of candidates per member).
+const GAP_CLASSES: usize = 16;
+
+/// Everything that an op changes and that both ends hold alike: mesh, op cache, coder contexts.
+#[derive(Clone, Debug)]
+pub struct OpState {
+    replica: Replica,
+    cache: SplitCache,
+    models: Models,
+    lattice_bits: u8,
+    has_colors: bool,
+    has_moves: bool,
+    fan: Fan,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Models {
+    forget: Prob,
+    count: [NumberModel; 3],
+    collapse_gap: Vec<NumberModel>,
+    split_gap: Vec<NumberModel>,
+    spawn_gap: NumberModel,
+    /// By whether this is round 2 or later.
+    collapse_flag: [Prob; 2],
+    /// By the roles that the candidate had, whether its next split is cached, whether this is round 2 or later.
+    split_flag: [[[Prob; 2]; 2]; 16],
+    same_cut: [Prob; 2],
+    geometry: GeometryModels,
+    patch: PatchModels,
+}
+
+impl Models {
+    fn new() -> Self {
+        Self {
+            forget: Prob::HALF,
+            count: [NumberModel::NEW, NumberModel::NEW, NumberModel::NEW],
+            collapse_gap: vec![NumberModel::NEW; GAP_CLASSES],
+            split_gap: vec![NumberModel::NEW; GAP_CLASSES],
+            spawn_gap: NumberModel::NEW,
+            collapse_flag: [Prob::HALF; 2],
+            split_flag: [[[Prob::HALF; 2]; 2]; 16],
+            same_cut: [Prob::HALF; 2],
+            geometry: GeometryModels::new(),
+            patch: PatchModels::new(),
+        }
+    }
+}
+
+/// What a batch did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct OpCounts {
+    /// Vertex splits, cached ones included.
+    pub splits: u32,
+    /// Splits that came from the cache.
+    pub cached_splits: u32,
+    /// Edge collapses.
+    pub collapses: u32,
+    /// Components inserted.
+    pub spawns: u32,
+    /// Components removed.
+    pub despawns: u32,
+    /// Most triangles after any op of the batch.
+    pub max_triangles: u32,
+}
+
+impl OpCounts {
+    /// Ops of all kinds.
+    pub fn total(&self) -> u32 {
+        self.splits + self.collapses + self.spawns + self.despawns
+    }
+}
+
+/// Why a batch was refused. The state is of no use then: ask for a reset.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DecodeError {
+    /// The bytes end too early or go on after the end, or a number is out of range.
+    #[error("malformed batch")]
+    Malformed,
+    /// More ops than a batch may hold.
+    #[error("a batch of more than {MAX_OPS_PER_BATCH} ops")]
+    TooManyOps,
+    /// An op breaks the triangle limit.
+    #[error("{triangles} triangles are over the limit of {limit}")]
+    OverLimit {
+        /// Triangles after the op.
+        triangles: u32,
+        /// Limit in force.
+        limit: u32,
+    },
+    /// An op does not fit the mesh.
+    #[error(transparent)]
+    Apply(#[from] ApplyError),
+}
+
+impl OpState {
+    /// The state before any op.
+    ///
+    /// # Errors
+    /// [`PatchError`] if the base is no manifold.
+    pub fn new(
+        base: &Patch,
+        lattice_bits: u8,
+        has_colors: bool,
+        has_moves: bool,
+        cache_capacity: u32,
+    ) -> Result<Self, PatchError> {
+        Ok(Self {
+            replica: Replica::new(base)?,
+            cache: SplitCache::new(cache_capacity),
+            models: Models::new(),
+            lattice_bits,
+            has_colors,
+            has_moves,
+            fan: Fan::default(),
+        })
+    }
+
+    /// The mesh.
+    pub fn replica(&self) -> &Replica {
+        &self.replica
+    }
+
+    /// The mesh, for dirty tracking.
+    pub fn replica_mut(&mut self) -> &mut Replica {
+        &mut self.replica
+    }
+
+    /// The op cache.
+    pub fn cache(&self) -> &SplitCache {
+        &self.cache
+    }
+
+    /// Bytes of memory held, for accounting.
+    pub fn heap_bytes(&self) -> usize {
+        let number = size_of::<NumberModel>();
+        self.replica.heap_bytes() + self.cache.heap_bytes() + 2 * GAP_CLASSES * number + 60 * number
+    }
+}
+
+/// The rounds of one batch, in either direction.
+struct Rounds<'a, C> {
+    state: &'a mut OpState,
+    coder: C,
+    counts: OpCounts,
+    round: usize,
+    /// Candidates of the next round, ascending, with the roles they had.
+    candidates: Vec<(u32, u8)>,
+    /// Work space for the ops whose last reference went.
+    released: Vec<VertexSlot>,
+}
+
+const ROLE_S: u8 = 1;
+const ROLE_T: u8 = 2;
+const ROLE_LEFT: u8 = 4;
+const ROLE_RIGHT: u8 = 8;
+
+impl<'a, C: BitCoder> Rounds<'a, C> {
+    fn new(state: &'a mut OpState, mut coder: C, forget_cuts: bool) -> Self {
+        if coder.bit(&mut state.models.forget, forget_cuts) {
+            state.cache.forget_cuts();
+        }
+        let counts = OpCounts { max_triangles: state.replica.triangle_count(), ..OpCounts::default() };
+        Self { state, coder, counts, round: 0, candidates: Vec::new(), released: Vec::new() }
+    }
+
+    fn begin_kind(&mut self) {
+        self.round = 0;
+        self.candidates.clear();
+    }
+
+    /// Names the members of a round of collapses and returns them. `chosen` is ascending and a subset of the candidates.
+    fn collapse_round(&mut self, chosen: &[u32]) -> Result<Vec<u32>, DecodeError> {
+        self.round += 1;
+        let models = &mut self.state.models;
+        if self.round == 1 {
+            let set = self.state.replica.collapsible();
+            return code_gaps(&mut self.coder, &mut models.count[0], &mut models.collapse_gap, set, chosen);
+        }
+        let flag = &mut models.collapse_flag[usize::from(self.round > 2)];
+        let coder = &mut self.coder;
+        let mut chosen = chosen.iter().copied().peekable();
+        let is_chosen = |&(slot, _): &(u32, u8)| coder.bit(flag, chosen.next_if_eq(&slot).is_some());
+        Ok(self.candidates.iter().copied().filter(is_chosen).map(|(slot, _)| slot).collect())
+    }
+
+    /// Applies a round of collapses and lists the candidates of the next.
+    fn apply_collapses(&mut self, chosen: &[u32]) -> Result<(), DecodeError> {
+        self.released.clear();
+        for &slot in chosen {
+            let slot = VertexSlot(slot);
+            if self.state.replica.is_spawn(slot) {
+                let (_, slots) = self.state.replica.despawn(slot)?;
+                self.state.cache.drop_slots(&slots);
+                self.counts.despawns += 1;
+            } else {
+                let undo = self.state.replica.collapse(slot, &mut self.released)?;
+                self.state.cache.push(slot, &undo);
+                self.counts.collapses += 1;
+            }
+            self.check_ops()?;
+        }
+        self.candidates.clear();
+        self.candidates.extend(self.released.iter().map(|slot| (slot.0, 0)));
+        self.candidates.sort_unstable();
+        Ok(())
+    }
+
+    /// Codes how many spawns follow.
+    fn spawn_count(&mut self, count: u32) -> u32 {
+        self.state.models.count[1].code(&mut self.coder, count)
+    }
+
+    /// Codes and applies a spawn; ids ascend within a batch, `after` is the one before.
+    fn spawn(
+        &mut self,
+        after: Option<u32>,
+        id: u32,
+        patch: &Patch,
+        limit: u32,
+        may_hold: impl Fn(&C, u32, u32) -> bool,
+    ) -> Result<(u32, VertexSlot), DecodeError> {
+        let state = &mut *self.state;
+        let first = after.map_or(0, |id| id.saturating_add(1));
+        let gap = gap_before(state.replica.spawned_ids(), first, id);
+        let gap = state.models.spawn_gap.code(&mut self.coder, gap);
+        let id = skip_gap(state.replica.spawned_ids(), first, gap).ok_or(DecodeError::Malformed)?;
+        let patch = state
+            .models
+            .patch
+            .code(&mut self.coder, state.lattice_bits, state.has_colors, patch, may_hold)
+            .map_err(|_| DecodeError::Malformed)?;
+        self.check_limit(patch.faces.len() as u32, limit)?;
+        let slot = self.state.replica.spawn(id, &patch)?;
+        self.counts.spawns += 1;
+        self.note_triangles();
+        self.check_ops()?;
+        Ok((id, slot))
+    }
+
+    /// Names the members of a round of splits and returns them. `chosen` is ascending and a subset of the candidates.
+    fn split_round(&mut self, chosen: &[u32]) -> Result<Vec<u32>, DecodeError> {
+        self.round += 1;
+        let models = &mut self.state.models;
+        if self.round == 1 {
+            let set = self.state.replica.vertices();
+            return code_gaps(&mut self.coder, &mut models.count[2], &mut models.split_gap, set, chosen);
+        }
+        let (coder, cache, late) = (&mut self.coder, &self.state.cache, usize::from(self.round > 2));
+        let mut chosen = chosen.iter().copied().peekable();
+        let is_chosen = |&(slot, roles): &(u32, u8)| {
+            let cached = usize::from(cache.top(VertexSlot(slot)).is_some());
+            let flag = &mut models.split_flag[usize::from(roles)][cached][late];
+            coder.bit(flag, chosen.next_if_eq(&slot).is_some())
+        };
+        let members = self.candidates.iter().copied().filter(is_chosen).map(|(slot, _)| slot).collect();
+        self.candidates.clear();
+        Ok(members)
+    }
+
+    /// Codes and applies the split of `s`, a member of the round.
+    fn split(&mut self, s: u32, cut: Cut, vertex: &NewVertex, limit: u32) -> Result<VertexSlot, DecodeError> {
+        let OpState { replica, cache, models, has_colors, has_moves, fan, .. } = &mut *self.state;
+        replica.fan(VertexSlot(s), fan)?;
+        let (cut, vertex, is_cached) = match cache.top(VertexSlot(s)) {
+            Some(cached) => {
+                let guess = if cached.cut_known { guess_cut(fan, cached.left, cached.right) } else { None };
+                let cut = match guess {
+                    Some(guess) if self.coder.bit(&mut models.same_cut[0], cut == guess) => guess,
+                    _ => models.geometry.cut(&mut self.coder, fan, cut),
+                };
+                (cut, cached.vertex, true)
+            }
+            None => {
+                let cut = models.geometry.cut(&mut self.coder, fan, cut);
+                if !fan.admits(cut) {
+                    return Err(ApplyError::BadCut { slot: s, faces: fan.faces(), cut }.into());
+                }
+                let colors = has_colors.then(|| replica.colors());
+                let positions = replica.positions();
+                let vertex =
+                    models.geometry.vertex(&mut self.coder, s, fan, cut, positions, colors, *has_moves, vertex);
+                (cut, vertex, false)
+            }
+        };
+        let added = match cut {
+            Cut::Both { .. } => 2,
+            _ => 1,
+        };
+        let max = (1 << self.state.lattice_bits) - 1;
+        if vertex.position.iter().any(|&x| x < 0 || x > max) {
+            return Err(DecodeError::Malformed);
+        }
+        self.check_limit(added, limit)?;
+        let OpState { replica, cache, fan, .. } = &mut *self.state;
+        let t = replica.split(VertexSlot(s), fan, cut, &vertex)?;
+        if is_cached {
+            cache.pop(VertexSlot(s), t);
+            self.counts.cached_splits += 1;
+        }
+        let ring = fan.ring();
+        self.candidates.extend([(s, ROLE_S), (t.0, ROLE_T)]);
+        let (left, right) = match cut {
+            Cut::Both { right, left } => (Some(left), Some(right)),
+            Cut::Left { left } => (Some(left), None),
+            Cut::Right { right } => (None, Some(right)),
+        };
+        self.candidates.extend(left.map(|spoke| (ring[spoke as usize], ROLE_LEFT)));
+        self.candidates.extend(right.map(|spoke| (ring[spoke as usize], ROLE_RIGHT)));
+        self.counts.splits += 1;
+        self.note_triangles();
+        self.check_ops()?;
+        Ok(t)
+    }
+
+    /// Sorts the candidates that a round of splits left behind.
+    fn end_split_round(&mut self) {
+        self.candidates.sort_unstable();
+        self.candidates.dedup_by(|next, kept| {
+            let same = next.0 == kept.0;
+            if same {
+                kept.1 |= next.1;
+            }
+            same
+        });
+    }
+
+    fn note_triangles(&mut self) {
+        self.counts.max_triangles = self.counts.max_triangles.max(self.state.replica.triangle_count());
+    }
+
+    fn check_ops(&self) -> Result<(), DecodeError> {
+        if self.counts.total() > MAX_OPS_PER_BATCH { Err(DecodeError::TooManyOps) } else { Ok(()) }
+    }
+
+    fn check_limit(&self, added: u32, limit: u32) -> Result<(), DecodeError> {
+        let triangles = self.state.replica.triangle_count().saturating_add(added);
+        if triangles > limit { Err(DecodeError::OverLimit { triangles, limit }) } else { Ok(()) }
+    }
+}
+
+/// Codes a subset of `set`: its size, then for each member how many candidates it skips.
+fn code_gaps(
+    coder: &mut impl BitCoder,
+    count: &mut NumberModel,
+    gaps: &mut [NumberModel],
+    set: &SlotSet,
+    chosen: &[u32],
+) -> Result<Vec<u32>, DecodeError> {
+    let count = count.code(coder, chosen.len() as u32);
+    if count > MAX_OPS_PER_BATCH {
+        return Err(DecodeError::TooManyOps);
+    }
+    if count > set.len() {
+        return Err(DecodeError::Malformed);
+    }
+    let mut members = Vec::with_capacity(count as usize);
+    let mut from = 0;
+    let mut candidates = set.len();
+    for i in 0..count {
+        let expected = candidates / (count - i);
+        let class = (32 - expected.leading_zeros() as usize).min(GAP_CLASSES - 1);
+        let gap = chosen.get(i as usize).map_or(0, |&slot| set.count_between(from, slot));
+        let gap = gaps[class].code(coder, gap);
+        if gap >= candidates {
+            return Err(DecodeError::Malformed);
+        }
+        let slot = set.select_from(from, gap).ok_or(DecodeError::Malformed)?;
+        members.push(slot);
+        from = slot + 1;
+        candidates -= gap + 1;
+    }
+    Ok(members)
+}
+
+/// Ids from `first` on, below `id`, that are not in `taken`.
+fn gap_before(taken: &BTreeSet<u32>, first: u32, id: u32) -> u32 {
+    id.saturating_sub(first) - taken.range(first..id.max(first)).count() as u32
+}
+
+/// The id with exactly `gap` ids that are not in `taken` between `first` and it.
+fn skip_gap(taken: &BTreeSet<u32>, first: u32, gap: u32) -> Option<u32> {
+    let mut id = first.checked_add(gap)?;
+    for &other in taken.range(first..) {
+        if other > id {
+            break;
+        }
+        id = id.checked_add(1)?;
+    }
+    Some(id)
+}
+
+/// The cut between the spokes that lead to `left` and `right`, if there is exactly one of each.
+fn guess_cut(fan: &Fan, left: VertexSlot, right: VertexSlot) -> Option<Cut> {
+    let spoke = |slot: VertexSlot| fan.ring().iter().position(|&r| r == slot.0).map(|i| i as u32);
+    let cut = match (right, left) {
+        (VertexSlot::NONE, left) => Cut::Left { left: spoke(left)? },
+        (right, VertexSlot::NONE) => Cut::Right { right: spoke(right)? },
+        (right, left) => Cut::Both { right: spoke(right)?, left: spoke(left)? },
+    };
+    fan.admits(cut).then_some(cut)
+}
+
+/// Encodes one batch while applying it to this end's state.
+///
+/// Call order: [`collapse_round`](Self::collapse_round) until the round is empty or no candidates are left, then
+/// [`spawn`](Self::spawn) in ascending id order, then [`split_round`](Self::split_round) and one [`split`](Self::split) per
+/// member, likewise until empty, then [`finish`](Self::finish).
+pub struct BatchEncoder<'a> {
+    rounds: Rounds<'a, Encoder>,
+    stage: Stage,
+}
+
+#[derive(PartialEq, Eq, PartialOrd, Ord, Clone, Copy)]
+enum Stage {
+    Collapses,
+    Spawns,
+    Splits,
+    Done,
+}
+
+impl<'a> BatchEncoder<'a> {
+    /// Begins a batch. `forget_cuts` makes both ends forget the cuts that their caches hold.
+    pub fn new(state: &'a mut OpState, forget_cuts: bool) -> Self {
+        Self { rounds: Rounds::new(state, Encoder::new(), forget_cuts), stage: Stage::Collapses }
+    }
+
+    /// The mesh as it is now.
+    pub fn replica(&self) -> &Replica {
+        &self.rounds.state.replica
+    }
+
+    /// Ops so far.
+    pub fn counts(&self) -> &OpCounts {
+        &self.rounds.counts
+    }
+
+    /// Bytes so far, give or take a few.
+    pub fn len(&self) -> usize {
+        self.rounds.coder.len()
+    }
+
+    /// Whether no byte has been written.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Collapses the ops at these addresses: ascending; in the first round any of `replica().collapsible()`, later any that
+    /// [`candidates`](Self::candidates) lists. Returns whether another round may follow.
+    ///
+    /// # Errors
+    /// [`DecodeError::Apply`] if an op may not collapse: a bug of the caller, the state is lost.
+    pub fn collapse_round(&mut self, addresses: &[u32]) -> Result<bool, DecodeError> {
+        debug_assert!(self.stage == Stage::Collapses);
+        let chosen = self.rounds.collapse_round(addresses)?;
+        debug_assert_eq!(chosen, addresses);
+        self.rounds.apply_collapses(&chosen)?;
+        let more = !chosen.is_empty() && !self.rounds.candidates.is_empty();
+        if !more {
+            self.stage = Stage::Spawns;
+        }
+        Ok(more)
+    }
+
+    /// Slots that the next round may name, ascending.
+    pub fn candidates(&self) -> impl Iterator<Item = u32> + '_ {
+        self.rounds.candidates.iter().map(|&(slot, _)| slot)
+    }
+
+    /// Inserts components, ids ascending, and returns their addresses.
+    ///
+    /// # Errors
+    /// As the decoder would: a bug of the caller, the state is lost.
+    pub fn spawns(&mut self, spawns: &[(u32, &Patch)], limit: u32) -> Result<Vec<VertexSlot>, DecodeError> {
+        debug_assert!(self.stage == Stage::Spawns);
+        self.stage = Stage::Splits;
+        self.rounds.begin_kind();
+        self.rounds.spawn_count(spawns.len() as u32);
+        let mut after = None;
+        let mut slots = Vec::with_capacity(spawns.len());
+        for &(id, patch) in spawns {
+            let (coded, slot) = self.rounds.spawn(after, id, patch, limit, |_, _, _| true)?;
+            debug_assert_eq!(coded, id);
+            after = Some(id);
+            slots.push(slot);
+        }
+        Ok(slots)
+    }
+
+    /// Names the vertices that this round splits: ascending; in the first round any vertices, later any that
+    /// [`candidates`](Self::candidates) lists. An empty round ends the splits.
+    ///
+    /// # Errors
+    /// As the decoder would: a bug of the caller, the state is lost.
+    pub fn split_round(&mut self, vertices: &[u32]) -> Result<(), DecodeError> {
+        debug_assert!(self.stage == Stage::Splits);
+        let chosen = self.rounds.split_round(vertices)?;
+        debug_assert_eq!(chosen, vertices);
+        if chosen.is_empty() {
+            self.stage = Stage::Done;
+        }
+        Ok(())
+    }
+
+    /// Splits `s`, the next member of the round, and returns the new slot.
+    ///
+    /// # Errors
+    /// As the decoder would: a bug of the caller, the state is lost.
+    pub fn split(&mut self, s: u32, cut: Cut, vertex: &NewVertex, limit: u32) -> Result<VertexSlot, DecodeError> {
+        self.rounds.split(s, cut, vertex, limit)
+    }
+
+    /// Ends the round; returns whether another may follow.
+    pub fn end_split_round(&mut self) -> bool {
+        self.rounds.end_split_round();
+        let more = !self.rounds.candidates.is_empty();
+        if !more {
+            self.stage = Stage::Done;
+        }
+        more
+    }
+
+    /// The batch as bytes and what it did.
+    pub fn finish(self) -> (Vec<u8>, OpCounts) {
+        debug_assert!(self.stage == Stage::Done);
+        (self.rounds.coder.finish(), self.rounds.counts)
+    }
+}
+
+/// Decodes a batch and applies it op by op. Total on any bytes: work is bounded by [`MAX_OPS_PER_BATCH`] and the mesh.
+///
+/// # Errors
+/// [`DecodeError`]; the state is then of no use.
+pub fn decode_batch(bytes: &[u8], state: &mut OpState, limit: u32) -> Result<OpCounts, DecodeError> {
+    let mut rounds = Rounds::new(state, Decoder::new(bytes), false);
+    let check = |rounds: &Rounds<'_, Decoder<'_>>| match rounds.coder.is_overrun() {
+        true => Err(DecodeError::Malformed),
+        false => Ok(()),
+    };
+    loop {
+        let chosen = rounds.collapse_round(&[])?;
+        check(&rounds)?;
+        rounds.apply_collapses(&chosen)?;
+        if chosen.is_empty() || rounds.candidates.is_empty() {
+            break;
+        }
+    }
+    rounds.begin_kind();
+    let spawns = rounds.spawn_count(0);
+    if spawns > MAX_OPS_PER_BATCH {
+        return Err(DecodeError::TooManyOps);
+    }
+    let mut after = None;
+    let lattice_bits = rounds.state.lattice_bits;
+    for _ in 0..spawns {
+        check(&rounds)?;
+        let may_hold = |_: &Decoder<'_>, v, f| fits(bytes.len(), lattice_bits, v, f);
+        after = Some(rounds.spawn(after, 0, &Patch::default(), limit, may_hold)?.0);
+    }
+    loop {
+        let chosen = rounds.split_round(&[])?;
+        check(&rounds)?;
+        if chosen.is_empty() {
+            break;
+        }
+        for &s in &chosen {
+            rounds.split(s, Cut::Left { left: 0 }, &NewVertex::default(), limit)?;
+            check(&rounds)?;
+        }
+        rounds.end_split_round();
+        if rounds.candidates.is_empty() {
+            break;
+        }
+    }
+    if rounds.coder.is_overrun() || rounds.coder.has_trailing() {
+        return Err(DecodeError::Malformed);
+    }
+    Ok(rounds.counts)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,359 @@
+//! Adaptive binary range coder: 32-bit range, carry propagation, two-rate 16-bit probabilities.
+//!
+//! Both directions implement [`BitCoder`], so that a model is written once and cannot differ between the two ends: the
+//! encoder codes the bit it is given and returns it, the decoder ignores it and returns the one it finds.
+
+/// Probability that the next bit is 0, as the mean of a fast and a slow estimate of 16 bits each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Prob {
+    fast: u16,
+    slow: u16,
+}
+
+const FAST_SHIFT: u32 = 4;
+const SLOW_SHIFT: u32 = 7;
+
+impl Prob {
+    /// Even odds.
+    pub(crate) const HALF: Self = Self { fast: 1 << 15, slow: 1 << 15 };
+
+    /// In `1 ..= 65535`.
+    #[inline]
+    fn zero(self) -> u32 {
+        ((u32::from(self.fast) + u32::from(self.slow)) >> 1).clamp(32, 65_536 - 32)
+    }
+
+    #[inline]
+    fn adapt(&mut self, bit: bool) {
+        if bit {
+            self.fast -= self.fast >> FAST_SHIFT;
+            self.slow -= self.slow >> SLOW_SHIFT;
+        } else {
+            self.fast += (u16::MAX - self.fast) >> FAST_SHIFT;
+            self.slow += (u16::MAX - self.slow) >> SLOW_SHIFT;
+        }
+    }
+}
+
+/// One direction of the coder. See the module.
+pub(crate) trait BitCoder {
+    /// Codes `bit` under `p` and adapts `p`.
+    fn bit(&mut self, p: &mut Prob, bit: bool) -> bool;
+
+    /// Codes the low `count` (at most 16) bits of `value` at even odds, highest first.
+    fn raw(&mut self, value: u32, count: u32) -> u32;
+}
+
+/// Collects bytes.
+#[derive(Debug)]
+pub(crate) struct Encoder {
+    low: u64,
+    range: u32,
+    /// Last byte not yet written, since a carry may still reach it; `None` before the first.
+    pending: Option<u8>,
+    /// 0xff bytes after `pending`.
+    pending_ff: u32,
+    bytes: Vec<u8>,
+}
+
+impl Encoder {
+    pub(crate) fn new() -> Self {
+        Self { low: 0, range: u32::MAX, pending: None, pending_ff: 0, bytes: Vec::new() }
+    }
+
+    /// Bytes written so far, give or take what is pending.
+    pub(crate) fn len(&self) -> usize {
+        self.bytes.len() + self.pending_ff as usize + 1
+    }
+
+    fn shift_low(&mut self) {
+        let carry = (self.low >> 32) as u8;
+        let byte = (self.low >> 24) as u8;
+        if carry == 1 || byte != 0xff {
+            if let Some(pending) = self.pending {
+                self.bytes.push(pending.wrapping_add(carry));
+            }
+            for _ in 0..self.pending_ff {
+                self.bytes.push(0xffu8.wrapping_add(carry));
+            }
+            self.pending_ff = 0;
+            self.pending = Some(byte);
+        } else {
+            self.pending_ff += 1;
+        }
+        self.low = (self.low & 0x00ff_ffff) << 8;
+    }
+
+    #[inline]
+    fn normalize(&mut self) {
+        while self.range < 1 << 24 {
+            self.range <<= 8;
+            self.shift_low();
+        }
+    }
+
+    /// Ends the stream: the shortest byte string that decodes alike when followed by zeros.
+    pub(crate) fn finish(mut self) -> Vec<u8> {
+        // Any value in low .. low + range will do: take one whose low bits are zero.
+        let top = self.low + u64::from(self.range) - 1;
+        let mut mask = 0xffff_ffffu64;
+        while mask != 0 && (top & !mask) < self.low {
+            mask >>= 8;
+        }
+        self.low = top & !mask;
+        // Only zeros of the flush are cut, so that a decoder can tell a truncated stream by how far it reads past the end.
+        let coded = self.bytes.len() + usize::from(self.pending.is_some()) + self.pending_ff as usize;
+        for _ in 0..5 {
+            self.shift_low();
+        }
+        while self.bytes.len() > coded && self.bytes.last() == Some(&0) {
+            self.bytes.pop();
+        }
+        self.bytes
+    }
+}
+
+impl BitCoder for Encoder {
+    #[inline]
+    fn bit(&mut self, p: &mut Prob, bit: bool) -> bool {
+        let bound = (self.range >> 16) * p.zero();
+        if bit {
+            self.low += u64::from(bound);
+            self.range -= bound;
+        } else {
+            self.range = bound;
+        }
+        p.adapt(bit);
+        self.normalize();
+        bit
+    }
+
+    #[inline]
+    fn raw(&mut self, value: u32, count: u32) -> u32 {
+        debug_assert!(count <= 16 && value >> count == 0);
+        self.range >>= count;
+        self.low += u64::from(value) * u64::from(self.range);
+        self.normalize();
+        value
+    }
+}
+
+/// Reads bytes; past their end it reads zeros and counts them.
+#[derive(Debug)]
+pub(crate) struct Decoder<'a> {
+    bytes: &'a [u8],
+    at: usize,
+    code: u32,
+    range: u32,
+}
+
+/// Zeros a decoder may read past the end of an honest stream.
+const MAX_OVERRUN: usize = 8;
+
+impl<'a> Decoder<'a> {
+    pub(crate) fn new(bytes: &'a [u8]) -> Self {
+        let mut decoder = Self { bytes, at: 0, code: 0, range: u32::MAX };
+        for _ in 0..4 {
+            decoder.code = decoder.code << 8 | u32::from(decoder.next());
+        }
+        decoder
+    }
+
+    #[inline]
+    fn next(&mut self) -> u8 {
+        let byte = self.bytes.get(self.at).copied().unwrap_or(0);
+        self.at += 1;
+        byte
+    }
+
+    #[inline]
+    fn normalize(&mut self) {
+        while self.range < 1 << 24 {
+            self.range <<= 8;
+            self.code = self.code << 8 | u32::from(self.next());
+        }
+    }
+
+    /// Whether more was read than an encoder can have written.
+    #[inline]
+    pub(crate) fn is_overrun(&self) -> bool {
+        self.at > self.bytes.len() + MAX_OVERRUN
+    }
+
+    /// Whether bytes are left that an encoder would not have written.
+    pub(crate) fn has_trailing(&self) -> bool {
+        self.at < self.bytes.len()
+    }
+}
+
+impl BitCoder for Decoder<'_> {
+    #[inline]
+    fn bit(&mut self, p: &mut Prob, _: bool) -> bool {
+        let bound = (self.range >> 16) * p.zero();
+        let bit = self.code >= bound;
+        if bit {
+            self.code -= bound;
+            self.range -= bound;
+        } else {
+            self.range = bound;
+        }
+        p.adapt(bit);
+        self.normalize();
+        bit
+    }
+
+    #[inline]
+    fn raw(&mut self, _: u32, count: u32) -> u32 {
+        self.range >>= count;
+        let value = (self.code / self.range).min((1 << count) - 1);
+        self.code = self.code.wrapping_sub(value * self.range);
+        self.normalize();
+        value
+    }
+}
+
+/// A number as its bit length (unary, adaptive), its next bits (adaptive) and the rest (raw): adaptive Exp-Golomb.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct NumberModel {
+    length: [Prob; 33],
+    /// By length (capped) and the bits below the leading one that were coded so far.
+    mantissa: [[Prob; 4]; 16],
+}
+
+impl NumberModel {
+    pub(crate) const NEW: Self = Self { length: [Prob::HALF; 33], mantissa: [[Prob::HALF; 4]; 16] };
+
+    /// Codes `value`, at most `2^32 - 2`.
+    pub(crate) fn code(&mut self, coder: &mut impl BitCoder, value: u32) -> u32 {
+        let plus_one = value.wrapping_add(1);
+        let wanted = 31 - (plus_one | 1).leading_zeros();
+        let mut length = 0;
+        while length < 31 && coder.bit(&mut self.length[length as usize], length < wanted) {
+            length += 1;
+        }
+        let mut left = length;
+        let mut coded = 1u32;
+        let contexts = &mut self.mantissa[length.min(15) as usize];
+        while left > 0 && coded < 4 {
+            left -= 1;
+            let bit = coder.bit(&mut contexts[coded as usize], plus_one >> left & 1 == 1);
+            coded = coded << 1 | u32::from(bit);
+        }
+        while left > 0 {
+            let step = left.min(16);
+            left -= step;
+            let chunk = coder.raw(plus_one >> left & ((1 << step) - 1), step);
+            coded = coded << step | chunk;
+        }
+        coded.wrapping_sub(1)
+    }
+}
+
+/// A number below `2^BITS` as a binary tree of adaptive bits.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct TreeModel<const NODES: usize> {
+    nodes: [Prob; NODES],
+}
+
+impl<const NODES: usize> TreeModel<NODES> {
+    pub(crate) const NEW: Self = Self { nodes: [Prob::HALF; NODES] };
+
+    /// Codes `value < NODES`, which must be a power of two.
+    pub(crate) fn code(&mut self, coder: &mut impl BitCoder, value: u32) -> u32 {
+        let mut node = 1usize;
+        for shift in (0..NODES.ilog2()).rev() {
+            let bit = coder.bit(&mut self.nodes[node], value >> shift & 1 == 1);
+            node = node << 1 | usize::from(bit);
+        }
+        (node - NODES) as u32
+    }
+}
+
+/// Codes `value < count` with nearly equal odds; `count` is at least 1. A decoder may return a value up to the next power
+/// of two: callers check.
+pub(crate) fn uniform(coder: &mut impl BitCoder, value: u32, count: u32) -> u32 {
+    // Truncated binary: the first `short` values take one bit less.
+    let bits = 32 - (count - 1).leading_zeros();
+    if bits == 0 {
+        return 0;
+    }
+    let short = (1u64 << bits) - u64::from(count);
+    let raw = |coder: &mut _, value: u32, bits: u32| raw_bits(coder, value, bits);
+    let head = if u64::from(value) < short { value } else { ((u64::from(value) + short) >> 1) as u32 };
+    let head = raw(coder, head, bits - 1);
+    if u64::from(head) < short {
+        return head;
+    }
+    let last = coder.raw(((u64::from(value) + short) & 1) as u32, 1);
+    ((u64::from(head) << 1 | u64::from(last)) - short) as u32
+}
+
+/// Codes the low `count` (at most 32) bits of `value` at even odds.
+pub(crate) fn raw_bits(coder: &mut impl BitCoder, value: u32, count: u32) -> u32 {
+    let mut left = count;
+    let mut coded = 0u32;
+    while left > 0 {
+        let step = left.min(16);
+        left -= step;
+        let chunk = coder.raw(value >> left & ((1u32 << step) - 1), step);
+        coded = if step == 32 { chunk } else { coded << step | chunk };
+    }
+    coded
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn random_mixtures_decode_to_what_was_encoded() {
+        for seed in 0..300 {
+            let mut rng = fastrand::Rng::with_seed(seed);
+            let n = rng.usize(0..400);
+            let skew = rng.u32(1..40);
+            let items: Vec<(u32, u32, u32)> =
+                (0..n).map(|_| (rng.u32(0..4), rng.u32(..) >> rng.u32(0..32), rng.u32(1..2000))).collect();
+            let run = |coder: &mut dyn FnMut(u32, u32, u32) -> u32| -> Vec<u32> {
+                items.iter().map(|&(kind, value, count)| coder(kind, value, count)).collect()
+            };
+            let mut encoder = Encoder::new();
+            let (mut bits, mut number, mut tree) = ([Prob::HALF; 2], NumberModel::NEW, TreeModel::<16>::NEW);
+            let encoded = run(&mut |kind, value, count| match kind {
+                0 => u32::from(encoder.bit(&mut bits[0], value % skew == 0)),
+                1 => number.code(&mut encoder, value.min(u32::MAX - 1)),
+                2 => tree.code(&mut encoder, value % 16),
+                _ => uniform(&mut encoder, value % count, count),
+            });
+            let bytes = encoder.finish();
+            let mut decoder = Decoder::new(&bytes);
+            let (mut bits, mut number, mut tree) = ([Prob::HALF; 2], NumberModel::NEW, TreeModel::<16>::NEW);
+            let decoded = run(&mut |kind, _, count| match kind {
+                0 => u32::from(decoder.bit(&mut bits[0], false)),
+                1 => number.code(&mut decoder, 0),
+                2 => tree.code(&mut decoder, 0),
+                _ => uniform(&mut decoder, 0, count),
+            });
+            assert_eq!(encoded, decoded, "seed {seed}");
+            assert!(!decoder.is_overrun() && !decoder.has_trailing(), "seed {seed}");
+            for (&(kind, value, count), got) in items.iter().zip(&encoded) {
+                match kind {
+                    1 => assert_eq!(*got, value.min(u32::MAX - 1)),
+                    2 => assert_eq!(*got, value % 16),
+                    3 => assert_eq!(*got, value % count),
+                    _ => {}
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_skewed_bit_costs_little() {
+        let mut encoder = Encoder::new();
+        let mut p = Prob::HALF;
+        for i in 0..8000 {
+            encoder.bit(&mut p, i % 100 == 0);
+        }
+        // The entropy is 0.081 bits each, 81 bytes; adaptation costs something.
+        assert!(encoder.finish().len() < 110);
+    }
+}
