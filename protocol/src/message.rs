@@ -38,6 +38,8 @@ pub enum ClientMessage {
 pub struct Hello {
     /// [`PROTOCOL_VERSION`] of the client.
     pub version: u16,
+    /// Triangle limit that the views will have: the default size of the cache follows from it.
+    pub triangle_limit: u32,
     /// Entries of the mirrored op cache that the client would like, or `None` for the server's default.
     pub cache_entries: Option<u32>,
     /// Most bytes per second that the server may send, or `None`.

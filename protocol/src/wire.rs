@@ -85,7 +85,12 @@ mod tests {
 
     fn client_messages() -> Vec<ClientMessage> {
         vec![
-            ClientMessage::Hello(Hello { version: 1, cache_entries: Some(5000), byte_rate: None }),
+            ClientMessage::Hello(Hello {
+                version: 1,
+                triangle_limit: 5000,
+                cache_entries: Some(5000),
+                byte_rate: None,
+            }),
             ClientMessage::View {
                 seq: ViewSeq(7),
                 view: View::perspective(DVec3::new(1.0, 2.0, 3.0), DVec3::ZERO, 0.7),

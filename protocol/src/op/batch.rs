@@ -273,10 +273,16 @@ impl<'a, C: BitCoder> Rounds<'a, C> {
         Ok(members)
     }
 
-    /// Codes and applies the split of `s`, a member of the round.
-    fn split(&mut self, s: u32, cut: Cut, vertex: &NewVertex, limit: u32) -> Result<VertexSlot, DecodeError> {
+    /// Codes and applies the split of `s`, a member of the round. `resolve` says what the encoding end wants, given the fan.
+    fn split(
+        &mut self,
+        s: u32,
+        limit: u32,
+        resolve: impl FnOnce(&Replica, &Fan) -> Option<(Cut, NewVertex)>,
+    ) -> Result<VertexSlot, DecodeError> {
         let OpState { replica, cache, models, has_colors, has_moves, fan, .. } = &mut *self.state;
         replica.fan(VertexSlot(s), fan)?;
+        let (cut, vertex) = resolve(replica, fan).ok_or(DecodeError::Malformed)?;
         let (cut, vertex, is_cached) = match cache.top(VertexSlot(s)) {
             Some(cached) => {
                 let guess = if cached.cut_known { guess_cut(fan, cached.left, cached.right) } else { None };
@@ -294,7 +300,7 @@ impl<'a, C: BitCoder> Rounds<'a, C> {
                 let colors = has_colors.then(|| replica.colors());
                 let positions = replica.positions();
                 let vertex =
-                    models.geometry.vertex(&mut self.coder, s, fan, cut, positions, colors, *has_moves, vertex);
+                    models.geometry.vertex(&mut self.coder, s, fan, cut, positions, colors, *has_moves, &vertex);
                 (cut, vertex, false)
             }
         };
@@ -517,12 +523,19 @@ impl<'a> BatchEncoder<'a> {
         Ok(())
     }
 
-    /// Splits `s`, the next member of the round, and returns the new slot.
+    /// Splits `s`, the next member of the round, and returns the new slot. `resolve` is given the mesh and `s`'s fan and
+    /// says where to cut and what to insert; it must return what the cache holds where the cache holds this split, and
+    /// `None` only to give up.
     ///
     /// # Errors
     /// As the decoder would: a bug of the caller, the state is lost.
-    pub fn split(&mut self, s: u32, cut: Cut, vertex: &NewVertex, limit: u32) -> Result<VertexSlot, DecodeError> {
-        self.rounds.split(s, cut, vertex, limit)
+    pub fn split(
+        &mut self,
+        s: u32,
+        limit: u32,
+        resolve: impl FnOnce(&Replica, &Fan) -> Option<(Cut, NewVertex)>,
+    ) -> Result<VertexSlot, DecodeError> {
+        self.rounds.split(s, limit, resolve)
     }
 
     /// Ends the round; returns whether another may follow.
@@ -579,7 +592,7 @@ pub fn decode_batch(bytes: &[u8], state: &mut OpState, limit: u32) -> Result<OpC
             break;
         }
         for &s in &chosen {
-            rounds.split(s, Cut::Left { left: 0 }, &NewVertex::default(), limit)?;
+            rounds.split(s, limit, |_, _| Some((Cut::Left { left: 0 }, NewVertex::default())))?;
             check(&rounds)?;
         }
         rounds.end_split_round();

@@ -27,26 +27,26 @@ fn random_batch(rng: &mut OperationRng, state: &mut OpState, limit: u32, next_id
     let share = 1 + rng.below(5);
     let mut members: Vec<u32> = encoder.replica().vertices().iter().filter(|_| rng.one_in(share)).collect();
     members.truncate((room / 2) as usize);
-    let mut fan = Fan::default();
     loop {
         encoder.split_round(&members).unwrap();
         if members.is_empty() {
             break;
         }
         for &s in &members {
-            encoder.replica().fan(VertexSlot(s), &mut fan).unwrap();
             let cached = encoder.rounds.state.cache.top(VertexSlot(s)).copied();
-            let cut = match cached.and_then(|c| guess_cut(&fan, c.left, c.right)) {
-                Some(cut) if !rng.one_in(3) => cut,
-                _ => rng.random_cut(&fan).unwrap_or(if fan.is_closed() {
-                    Cut::Both { right: 0, left: 1 }
-                } else {
-                    Cut::Left { left: 0 }
-                }),
+            let resolve = |_: &Replica, fan: &Fan| {
+                let cut = match cached.and_then(|c| guess_cut(fan, c.left, c.right)) {
+                    Some(cut) if !rng.one_in(3) => cut,
+                    _ => rng.random_cut(fan).unwrap_or(if fan.is_closed() {
+                        Cut::Both { right: 0, left: 1 }
+                    } else {
+                        Cut::Left { left: 0 }
+                    }),
+                };
+                Some((cut, cached.map_or_else(|| rng.random_vertex(), |c| c.vertex)))
             };
-            let vertex = cached.map_or_else(|| rng.random_vertex(), |c| c.vertex);
+            encoder.split(s, limit, resolve).unwrap();
             room = room.saturating_sub(2);
-            encoder.split(s, cut, &vertex, limit).unwrap();
         }
         if !encoder.end_split_round() {
             break;
