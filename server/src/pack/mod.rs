@@ -5,6 +5,7 @@
 
 mod cut;
 mod hash;
+mod header;
 mod inspect;
 mod layout;
 mod metadata;

@@ -21,6 +21,7 @@ pub(super) struct PageContext {
 
 impl PageContext {
     /// First op, number of ops and number of spawns among them (which come first) of a page.
+    #[inline]
     pub(super) fn rows(&self, page: u32) -> (u32, usize, usize) {
         let first = page * PAGE_OPS;
         let ops = (self.ops - first).min(PAGE_OPS);
@@ -186,69 +187,81 @@ pub(super) fn u64_at(bytes: &[u8], at: usize) -> Option<u64> {
     Some(u64::from_le_bytes(bytes.get(at..at + 8)?.try_into().ok()?))
 }
 
+// Inlining is forced where a triple returned through memory would be stored in parts and loaded as a whole, which stalls:
+// measured, that doubles the cost of `PackedModel::bounds`.
 impl<'a> PageView<'a> {
     #[inline]
     fn rows_of(&self, column: usize) -> usize {
         if column < TESTS { self.ops } else { self.ops - self.spawns }
     }
 
-    #[inline]
+    #[inline(always)]
     fn value(&self, column: usize, row: usize) -> Option<u32> {
         let entry = u64_at(self.bytes, PAGE_HEADER + 8 * column)?;
+        self.value_of(entry, self.rows_of(column), row)
+    }
+
+    /// A value of the column with this entry in the table.
+    #[inline(always)]
+    fn value_of(&self, entry: u64, rows: usize, row: usize) -> Option<u32> {
         let at = ((entry >> 32) as usize & 0xffff) * 8;
         let offset = match entry >> 48 {
-            0 => 0,
-            1 => u32::from(*self.bytes.get(at + row)?),
             2 => u32::from(u16_at(self.bytes, at + 2 * row)?),
             3 => {
-                let high = *self.bytes.get(at + align8(2 * self.rows_of(column)) + row)?;
+                let high = *self.bytes.get(at + align8(2 * rows) + row)?;
                 u32::from(u16_at(self.bytes, at + 2 * row)?) | u32::from(high) << 16
             }
+            0 => 0,
+            1 => u32::from(*self.bytes.get(at + row)?),
             _ => u32_at(self.bytes, at + 4 * row)?,
         };
         Some((entry as u32).wrapping_add(offset))
     }
 
-    /// A value of a column whose width and base are fixed.
-    #[inline]
-    fn fixed_u16(&self, column: usize, row: usize) -> Option<u16> {
-        let offset = u16_at(self.bytes, PAGE_HEADER + 8 * column + 4)?;
-        u16_at(self.bytes, usize::from(offset) * 8 + 2 * row)
-    }
-
-    #[inline]
-    fn fixed_u8(&self, column: usize, row: usize) -> Option<u8> {
-        let offset = u16_at(self.bytes, PAGE_HEADER + 8 * column + 4)?;
-        self.bytes.get(usize::from(offset) * 8 + row).copied()
-    }
-
-    #[inline]
+    /// Values of three columns, with one look at the table.
+    #[inline(always)]
     fn triple(&self, column: usize, row: usize) -> Option<[i32; 3]> {
-        let at = |k: usize| self.value(column + k, row).map(|v| v as i32);
+        let entries: &[u8; 24] = self.bytes.get(PAGE_HEADER + 8 * column..)?.first_chunk()?;
+        let entries = [u64_at(entries, 0)?, u64_at(entries, 8)?, u64_at(entries, 16)?];
+        let rows = self.rows_of(column);
+        if entries.iter().all(|entry| entry >> 48 == 2) {
+            // Nearly all pages of lattices up to 16 bits.
+            let at = |k: usize| {
+                let at = ((entries[k] >> 32) as usize & 0xffff) * 8;
+                Some((entries[k] as u32).wrapping_add(u16_at(self.bytes, at + 2 * row)?.into()) as i32)
+            };
+            return Some([at(0)?, at(1)?, at(2)?]);
+        }
+        let at = |k: usize| self.value_of(entries[k], rows, row).map(|v| v as i32);
         Some([at(0)?, at(1)?, at(2)?])
     }
 
-    #[inline]
+    #[inline(always)]
     pub(super) fn bounds(&self, row: usize) -> Option<Bounds> {
+        // The columns after the centre have fixed widths, so their places follow from that of the first of them.
+        let radius = usize::from(u16_at(self.bytes, PAGE_HEADER + 8 * column::RADIUS + 4)?) * 8;
+        let (wide, narrow) = (align8(2 * self.ops), align8(self.ops));
+        let fixed = self.bytes.get(radius..radius + 2 * wide + 3 * narrow)?;
         Some(Bounds {
             center: self.triple(column::CENTER, row)?,
-            radius: Magnitude(self.fixed_u16(column::RADIUS, row)?),
-            error: Magnitude(self.fixed_u16(column::ERROR, row)?),
+            radius: Magnitude(u16_at(fixed, 2 * row)?),
+            error: Magnitude(u16_at(fixed, wide + 2 * row)?),
             cone: Cone {
-                axis: [self.fixed_u8(column::AXIS, row)? as i8, self.fixed_u8(column::AXIS + 1, row)? as i8],
-                half_angle: self.fixed_u8(column::HALF_ANGLE, row)?,
+                axis: [*fixed.get(2 * wide + row)? as i8, *fixed.get(2 * wide + narrow + row)? as i8],
+                half_angle: *fixed.get(2 * wide + 2 * narrow + row)?,
             },
         })
     }
 
-    /// Rows of splits count from the page's first split.
+    /// Tags; their width and base are fixed. Rows of splits count from the page's first split.
     #[inline]
     pub(super) fn tags(&self, row: usize) -> Option<u32> {
-        self.fixed_u16(column::TAGS, row).map(u32::from)
+        let offset = u16_at(self.bytes, PAGE_HEADER + 8 * column::TAGS + 4)?;
+        u16_at(self.bytes, usize::from(offset) * 8 + 2 * row).map(u32::from)
     }
 
     /// Next split of `s` and first split of `t`.
-    #[inline]
+    #[inline(always)]
     pub(super) fn children(&self, row: usize) -> Option<[Option<u32>; 2]> {
         let tags = self.tags(row)?;
         let next = if tags & tag::HAS_NEXT_OF_S != 0 { Some(self.value(column::NEXT_OF_S, row)?) } else { None };
@@ -257,12 +270,12 @@ impl<'a> PageView<'a> {
     }
 
     /// Tree parent's kind (see [`tag`]) and number.
-    #[inline]
+    #[inline(always)]
     pub(super) fn tree(&self, row: usize, tags: u32) -> Option<(u32, u32)> {
         Some((tags >> tag::TREE_SHIFT & 3, self.value(column::TREE, row)?))
     }
 
-    #[inline]
+    #[inline(always)]
     pub(super) fn cut(&self, row: usize, tags: u32, column: usize) -> Option<CutRef> {
         let tags = if column == column::RIGHT { tags >> tag::RIGHT_SHIFT } else { tags };
         let edge = (tags >> 2 & 3) as u8;
@@ -273,7 +286,7 @@ impl<'a> PageView<'a> {
         })
     }
 
-    #[inline]
+    #[inline(always)]
     pub(super) fn position(&self, row: usize) -> Option<[i32; 3]> {
         self.triple(column::POSITION, row)
     }

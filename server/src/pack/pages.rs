@@ -49,9 +49,15 @@ impl Pages {
         self.checked.get((page / 64) as usize).is_some_and(|w| w.load(Ordering::Relaxed) >> (page % 64) & 1 != 0)
     }
 
-    /// Bytes of a page; `check` runs on them once their checksum fits, before anybody sees them. `first_damage` remembers
-    /// the first failure.
+    /// Bytes of a page that was used before.
     #[inline]
+    pub(super) fn warm<'a>(&self, file: &'a [u8], page: u32) -> Option<&'a [u8]> {
+        if self.is_checked(page) { self.slice(file, page) } else { None }
+    }
+
+    /// Bytes of a page; `check` runs on them at the first use, once their checksum fits and before anybody sees them.
+    /// `first_damage` remembers the first failure.
+    #[cold]
     pub(super) fn get<'a>(
         &self,
         file: &'a [u8],
@@ -71,7 +77,6 @@ impl Pages {
         })
     }
 
-    #[cold]
     fn first_use<'a>(
         &self,
         bytes: &'a [u8],

@@ -4,8 +4,8 @@ use serde::Serialize;
 use xxhash_rust::xxh3::xxh3_64;
 
 use super::hash::complete_mesh_hash;
+use super::header::check_section;
 use super::layout::{Section, UNKNOWN_NAME};
-use super::read::check_section;
 use super::record::{Bounds, NO_OP};
 use super::replay::{live_faces, replay};
 use super::{PackBytes, PackError, PackedModel, damaged};
