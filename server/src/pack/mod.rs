@@ -1,5 +1,6 @@
 //! The pack: one immutable file per model.
 
+pub mod cut;
 pub mod record;
 
 use lodestream_protocol::mesh::Patch;
