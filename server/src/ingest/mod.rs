@@ -1,1 +1,4 @@
 //! From a mesh file to a vertex-split DAG: read, clean, simplify, hierarchy.
+
+pub mod hierarchy;
+pub mod simplify;
