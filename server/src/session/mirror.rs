@@ -73,7 +73,6 @@ impl Mirror {
         self.slot_of.contains_key(&op)
     }
 
-
     pub(crate) fn heap_bytes(&self) -> usize {
         self.state.heap_bytes() + self.op_at.capacity() * 4 + (self.slot_of.capacity() + self.rounds.capacity()) * 9
     }
