@@ -1,1 +1,3 @@
 //! From a mesh file to a vertex-split DAG: read, clean, simplify, hierarchy.
+
+pub mod read;
