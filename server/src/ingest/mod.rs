@@ -1,3 +1,4 @@
 //! From a mesh file to a vertex-split DAG: read, clean, simplify, hierarchy.
 
+pub mod clean;
 pub mod read;
