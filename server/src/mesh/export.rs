@@ -157,30 +157,6 @@ mod tests {
     const VERTICES: u32 = 5000;
 
     #[test]
-    fn ply_and_obj_read_back_as_the_same_mesh() {
-        for mesh in [sample(VERTICES), TriMesh { colors: None, ..sample(VERTICES) }] {
-            let mut ply = Vec::new();
-            let options = PlyOptions { comments: vec!["two\nlines".into()], ..PlyOptions::default() };
-            write_ply(&mesh, &options, &mut ply).unwrap();
-            assert_eq!(crate::ingest::read::read_ply(&ply).unwrap().0, mesh);
-            let mut obj = Vec::new();
-            write_obj(&mesh, &mut obj).unwrap();
-            assert_eq!(crate::ingest::read::read_obj(&obj).unwrap().0, mesh);
-        }
-    }
-
-    #[test]
-    fn ply_of_floats_rounds() {
-        let mesh = sample(9);
-        let mut ply = Vec::new();
-        let options = PlyOptions { coordinates: PlyCoordinates::Float32, ..PlyOptions::default() };
-        write_ply(&mesh, &options, &mut ply).unwrap();
-        let (back, _) = crate::ingest::read::read_ply(&ply).unwrap();
-        assert_eq!(back.positions, mesh.positions.iter().map(|p| p.map(|c| f64::from(c as f32))).collect::<Vec<_>>());
-        assert_eq!((back.faces, back.colors), (mesh.faces, mesh.colors));
-    }
-
-    #[test]
     fn stl_has_fifty_bytes_a_triangle_and_normals_that_point_out() {
         let mesh = TriMesh {
             positions: vec![[0.0; 3], [2.0, 0.0, 0.0], [0.0, 3.0, 0.0]],

@@ -10,7 +10,10 @@ use std::ops::Range;
 use glam::DVec3;
 
 use crate::mesh::TriMesh;
-use crate::mesh::edges::{Edge, EdgeTable, next, origin, previous};
+use crate::mesh::edges::{DisjointSets, Edge, EdgeTable, next, origin, previous};
+
+#[cfg(test)]
+mod tests;
 
 /// What [`resolve`] did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -59,9 +62,13 @@ pub(super) fn resolve(mesh: &mut TriMesh, edges: &EdgeTable) -> Resolved {
         }
     }
     let mut fans = Fans::new(mesh, &pairing);
-    resolved.double_edges = separate_double_edges(edges, &crowded, &fans, &mut pairing);
+    let separated = separate_double_edges(edges, &crowded, &fans, &mut pairing);
+    resolved.double_edges = separated.len() as u64;
     if resolved.double_edges > 0 {
         fans = Fans::new(mesh, &pairing);
+        if rejoin(mesh, &separated, &fans, &mut pairing) > 0 {
+            fans = Fans::new(mesh, &pairing);
+        }
     }
     resolved.copies = fans.copied.len() as u64;
     resolved.split_vertices = {
@@ -93,6 +100,18 @@ impl Pairing {
     fn join(&mut self, a: u32, b: u32) {
         self.0[a as usize] = b;
         self.0[b as usize] = a;
+    }
+
+    /// The corner clockwise of `corner` at its vertex: the one after its half-edge's partner.
+    #[inline]
+    fn clockwise(&self, corner: u32) -> Option<u32> {
+        self.partner(corner).map(next)
+    }
+
+    /// The corner counter-clockwise of `corner` at its vertex: the partner of the half-edge that runs into it.
+    #[inline]
+    fn counter_clockwise(&self, corner: u32) -> Option<u32> {
+        self.partner(previous(corner))
     }
 
     fn cut(&mut self, half_edge: u32) {
@@ -201,10 +220,6 @@ impl Fans {
     /// Walks around every vertex, from corner to corner across paired half-edges. Linear.
     fn new(mesh: &TriMesh, pairing: &Pairing) -> Self {
         let corner_count = mesh.faces.len() as u32 * 3;
-        // The corner clockwise of `corner` is the one after its half-edge's partner; the corner counter-clockwise is
-        // the partner of the half-edge that runs into it.
-        let clockwise = |corner: u32| pairing.partner(corner).map(next);
-        let counter_clockwise = |corner: u32| pairing.partner(previous(corner));
         let mut is_visited = vec![false; corner_count as usize];
         let mut has_fan = vec![false; mesh.positions.len()];
         let mut fans = Self { corners: vec![0; corner_count as usize], copied: Vec::new() };
@@ -213,7 +228,7 @@ impl Fans {
                 continue;
             }
             let mut first = corner;
-            while let Some(other) = clockwise(first).filter(|&other| other != corner) {
+            while let Some(other) = pairing.clockwise(first).filter(|&other| other != corner) {
                 first = other;
             }
             let old = origin(&mesh.faces, corner);
@@ -229,7 +244,7 @@ impl Fans {
             while let Some(corner) = at.filter(|&corner| !is_visited[corner as usize]) {
                 is_visited[corner as usize] = true;
                 fans.corners[corner as usize] = vertex;
-                at = counter_clockwise(corner);
+                at = pairing.counter_clockwise(corner);
             }
         }
         fans
@@ -250,15 +265,20 @@ impl Fans {
     }
 }
 
-/// Cuts all pairs between two copies that some directed edge joins twice. Returns how many such edges there are.
+/// Cuts all pairs between two copies that some directed edge joins twice. Returns their half-edges, edge by edge.
 ///
 /// One round is enough. Walk around copy `a`: all pairs across the edge to `b` are passed in one direction, so once
 /// they are cut, a fan meets at most one half-edge `a -> b`, at its first face, and at most one `b -> a`, at its last.
 /// A half-edge that was never paired stood at such an end already. So each fan of `a` has each direction at most once,
 /// and fans that become smaller cannot break other edges. What then is left at one edge in both directions is joined
 /// by its index: that swaps the sheets instead of cutting them.
-fn separate_double_edges(edges: &EdgeTable, crowded: &[Range<usize>], fans: &Fans, pairing: &mut Pairing) -> u64 {
-    let mut count = 0;
+fn separate_double_edges(
+    edges: &EdgeTable,
+    crowded: &[Range<usize>],
+    fans: &Fans,
+    pairing: &mut Pairing,
+) -> Vec<Vec<u32>> {
+    let mut separated = Vec::new();
     let mut half_edges: Vec<((u32, u32), bool, u32)> = Vec::new();
     for range in crowded {
         half_edges.clear();
@@ -269,66 +289,83 @@ fn separate_double_edges(edges: &EdgeTable, crowded: &[Range<usize>], fans: &Fan
         half_edges.sort_unstable();
         for group in half_edges.chunk_by(|a, b| a.0 == b.0) {
             if group.windows(2).any(|pair| pair[0].1 == pair[1].1) {
-                count += 1;
                 group.iter().for_each(|&(.., half_edge)| pairing.cut(half_edge));
+                separated.push(group.iter().map(|&(.., half_edge)| half_edge).collect());
             }
         }
     }
-    count
+    separated
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn check(positions: &[[f64; 3]], faces: &[[u32; 3]], expected: &[[u32; 3]]) -> Resolved {
-        let mut mesh = TriMesh { positions: positions.to_vec(), faces: faces.to_vec(), colors: None };
-        let table = EdgeTable::new(mesh.positions.len(), &mesh.faces);
-        let resolved = resolve(&mut mesh, &table);
-        assert_eq!(mesh.faces, expected);
-        assert_eq!(mesh.positions.len(), positions.len() + resolved.copies as usize);
-        resolved
-    }
-
-    /// The edge 0-1 along y and four wings around it; counter-clockwise they are 2, 4, 3, 5.
-    const CROSS: [[f64; 3]; 6] =
-        [[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.5, 0.0], [-1.0, 0.5, 0.0], [0.0, 0.5, -1.0], [0.0, 0.5, 1.0]];
-
-    /// ```text
-    ///   2     4
-    ///   | \ / |
-    ///   |  0  |
-    ///   | / \ |
-    ///   1     3
-    /// ```
-    #[test]
-    fn a_bow_tie_gets_two_vertices() {
-        let resolved = check(&CROSS, &[[0, 2, 1], [0, 3, 4]], &[[0, 2, 1], [6, 3, 4]]);
-        assert_eq!(resolved, Resolved { split_vertices: 1, copies: 1, ..Resolved::default() });
-    }
-
-    #[test]
-    fn a_fin_on_a_flat_sheet_is_cut_off() {
-        for [a, b] in [[0, 1], [1, 0]] {
-            let resolved = check(&CROSS, &[[0, 1, 3], [1, 0, 2], [a, b, 4]], &[[0, 1, 3], [1, 0, 2], [6, 7, 4]]);
-            assert_eq!((resolved.non_manifold_edges, resolved.cut_sides, resolved.copies), (1, 1, 2));
+/// Joins half-edges that separation left without a partner, where their fans have room for each other. Returns how
+/// many pairs there are.
+///
+/// It is what becomes of the two faces of a sheet from whose edge a flap came off.
+fn rejoin(mesh: &TriMesh, separated: &[Vec<u32>], fans: &Fans, pairing: &mut Pairing) -> u64 {
+    /// More half-edges at one edge than scans ever have: trying all pairs would be quadratic.
+    const MOST_AT_EDGE: usize = 16;
+    let mut vertices = DisjointSets::new(mesh.positions.len() + fans.copied.len());
+    let mut pairs = 0;
+    for group in separated.iter().filter(|group| group.len() <= MOST_AT_EDGE) {
+        let low = origin(&mesh.faces, group[0]);
+        let (forward, backward): (Vec<u32>, Vec<u32>) =
+            group.iter().partition(|&&half_edge| origin(&mesh.faces, half_edge) == low);
+        for &a in &forward {
+            for &b in &backward {
+                if pairing.partner(a).is_none()
+                    && pairing.partner(b).is_none()
+                    && have_room(a, b, fans, pairing, &mut vertices)
+                {
+                    pairing.join(a, b);
+                    pairs += 1;
+                    let ((start, end), (other_end, other_start)) = (fans.ends(a), fans.ends(b));
+                    vertices.join(start, other_start);
+                    vertices.join(end, other_end);
+                }
+            }
         }
     }
+    pairs
+}
 
-    /// Sheets 2-0-1-3 and 4-0-1-5 cross; what is left touches but no longer crosses.
-    #[test]
-    fn crossing_sheets_come_apart_without_a_cut() {
-        let faces = [[0, 1, 2], [1, 0, 3], [0, 1, 4], [1, 0, 5]];
-        let resolved = check(&CROSS, &faces, &[[0, 1, 2], [6, 7, 3], [7, 6, 4], [1, 0, 5]]);
-        assert_eq!((resolved.non_manifold_edges, resolved.cut_sides, resolved.copies), (1, 0, 2));
+/// Whether each directed edge still occurs at most once when `a` and `b`, of opposite directions, are joined and the
+/// copies at their ends become one.
+fn have_room(a: u32, b: u32, fans: &Fans, pairing: &Pairing, vertices: &mut DisjointSets) -> bool {
+    /// Fans that are larger stay apart, or joining them one by one would be quadratic.
+    const MOST_CORNERS: usize = 64;
+    let ((start, end), (other_end, other_start)) = (fans.ends(a), fans.ends(b));
+    let joined = [(start, other_start), (end, other_end)].map(|(v, w)| (vertices.find(v), vertices.find(w)));
+    let mut name = |v: u32| {
+        let v = vertices.find(v);
+        joined.iter().find(|pair| pair.1 == v).map_or(v, |pair| pair.0)
+    };
+    let mut directed: Vec<((u32, u32), u32)> = Vec::new();
+    for corner in [a, next(b), next(a), b] {
+        let mut count = 0;
+        let mut add = |corner: u32| {
+            for half_edge in [corner, previous(corner)] {
+                let (v, w) = fans.ends(half_edge);
+                directed.push(((name(v), name(w)), half_edge));
+            }
+            count += 1;
+            count <= MOST_CORNERS
+        };
+        let mut at = Some(corner);
+        while let Some(here) = at {
+            if !add(here) {
+                return false;
+            }
+            at = pairing.counter_clockwise(here).filter(|&other| other != corner);
+        }
+        let mut at = pairing.clockwise(corner);
+        while let Some(here) = at.filter(|&other| other != corner) {
+            if !add(here) {
+                return false;
+            }
+            at = pairing.clockwise(here);
+        }
     }
-
-    /// Two wedges of a solid that touch along an edge stay two wedges.
-    #[test]
-    fn solids_that_touch_along_an_edge_come_apart() {
-        // Inside lies from backward to forward, counter-clockwise: 2 to 4 and 3 to 5.
-        let resolved =
-            check(&CROSS, &[[1, 0, 2], [0, 1, 4], [1, 0, 3], [0, 1, 5]], &[[1, 0, 2], [0, 1, 4], [6, 7, 3], [7, 6, 5]]);
-        assert_eq!((resolved.non_manifold_edges, resolved.cut_sides, resolved.copies), (1, 0, 2));
-    }
+    directed.sort_unstable();
+    directed.dedup();
+    directed.windows(2).all(|pair| pair[0].0 != pair[1].0)
 }

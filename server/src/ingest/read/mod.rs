@@ -22,6 +22,8 @@ pub use ply::read_ply;
 
 #[cfg(test)]
 mod mutation_tests;
+#[cfg(test)]
+mod round_trip_tests;
 
 /// Most triangles one mesh may have: half-edges are numbered by `u32`, three to a triangle.
 pub const MAX_TRIANGLES: usize = (u32::MAX / 3) as usize;
