@@ -19,12 +19,14 @@ fn check(input: &TriMesh) -> (TriMesh, CleanReport, Audit) {
     (output, report, audit)
 }
 
-/// Corners of all faces as positions, each face turned until its lowest corner is first; orientation forgotten.
+/// Corners of all faces with finite positions, sorted, as if faces had no orientation.
 fn shapes(mesh: &TriMesh) -> Vec<Vec<[u64; 3]>> {
+    let is_finite = |&v: &u32| mesh.positions[v as usize].iter().all(|c| c.is_finite());
     let corner = |v: u32| mesh.positions[v as usize].map(|c| (c + 0.0).to_bits());
     let mut shapes: Vec<Vec<_>> = mesh
         .faces
         .iter()
+        .filter(|face| face.iter().all(is_finite))
         .map(|face| {
             let mut corners: Vec<_> = face.iter().map(|&v| corner(v)).collect();
             corners.sort_unstable();
@@ -147,7 +149,13 @@ fn any_soup_becomes_a_manifold_of_the_same_triangles() {
         let vertices = random.u32(4..16);
         let extent = random.u32(1..6);
         let count = random.usize(1..40);
-        let position = |random: &mut fastrand::Rng| std::array::from_fn(|_| f64::from(random.u32(..=extent)));
+        let position = |random: &mut fastrand::Rng| {
+            std::array::from_fn(|_| match random.u32(..40) {
+                // Squares of these overflow, vanish or are no numbers; nothing may depend on them.
+                k @ 0..6 if round % 3 == 0 => [f64::MAX, -1e300, 1e-300, -0.0, f64::NAN, f64::INFINITY][k as usize],
+                _ => f64::from(random.u32(..=extent)),
+            })
+        };
         let input = TriMesh {
             positions: (0..vertices).map(|_| position(&mut random)).collect(),
             faces: (0..count).map(|_| std::array::from_fn(|_| random.u32(..vertices))).collect(),
@@ -169,7 +177,7 @@ fn any_soup_becomes_a_manifold_of_the_same_triangles() {
     assert!(double_edges > 1000 && one_sided > 50 && copies > 10_000, "{double_edges} {one_sided} {copies}");
 }
 
-/// Two random closed surfaces glued along random edges keep many more of their edges than cutting would leave.
+/// However many faces meet, sorting them and taking pairs out of the circle stays near linear.
 #[test]
 fn a_fan_of_many_faces_around_one_edge_takes_near_linear_time() {
     let count = 100_000_u32;
