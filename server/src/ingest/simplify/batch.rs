@@ -67,6 +67,8 @@ pub(crate) struct Simplifier<'a> {
     examined: Examined,
     star: Star,
     ring: Vec<DVec3>,
+    /// Edges at the vertex just kept, as half-edges, and their other ends.
+    around: Vec<(u32, u32)>,
 }
 
 /// What came of an attempt.
@@ -102,6 +104,7 @@ impl<'a> Simplifier<'a> {
             examined: Examined::new(vertices),
             star: Star::default(),
             ring: Vec::new(),
+            around: Vec::new(),
             surface,
         };
         simplifier.renew_all_keys();
@@ -255,12 +258,14 @@ impl<'a> Simplifier<'a> {
         Outcome::Collapsed
     }
 
+    #[inline]
     fn cost(&self, s: u32, t: u32) -> f64 {
         let [ps, pt] = [s, t].map(|v| &self.points[v as usize]);
         quadric::cost(self.quadrics[s as usize].c, &self.quadrics[t as usize], ps, pt)
     }
 
     /// Key of the cheaper direction of an edge. A direction that takes a boundary vertex inside is no choice.
+    #[inline]
     fn edge_key(&self, h: u32) -> u32 {
         let (a, b) = (self.surface.origin(h), self.surface.target(h));
         let is_inner = self.surface.twin(h).is_some();
@@ -281,7 +286,7 @@ impl<'a> Simplifier<'a> {
         let points = self.points;
         let Self { surface, ring, examined, carried, .. } = self;
         ring.clear();
-        ring.extend(surface.neighbors(t).map(|v| points[v as usize].at()));
+        ring.extend(examined.around.iter().map(|&v| points[v as usize].at()));
         let removed = [left, right].into_iter().flatten().map(|h| face_normal(surface, points, h / 3));
         let changed = examined.normals.iter().flat_map(|&(before, after)| [before, after]);
         let region = bounds::merge(&carried[s as usize], &carried[t as usize], ring, changed.chain(removed));
@@ -297,8 +302,13 @@ impl<'a> Simplifier<'a> {
         self.quadrics[s as usize].absorb(&gone, ps.at() - pt.at());
         self.changed_in[s as usize] = self.passes;
         self.changed_in[t as usize] = self.passes;
-        self.star.reset(&ps, self.surface.neighbors(s).map(|v| points[v as usize]), !ps.is_boundary);
-        self.renew_keys_around(s);
+        self.gather_around(s);
+        self.star.reset(&ps, self.around.iter().map(|&(_, v)| points[v as usize]), !ps.is_boundary);
+        for i in 0..self.around.len() {
+            let (h, v) = self.around[i];
+            self.changed_in[v as usize] = self.passes;
+            self.renew_key(h);
+        }
 
         let inherited = self.carried[s as usize].error().max(self.carried[t as usize].error());
         let rms = RMS_FACTOR * self.quadrics[s as usize].rms();
@@ -325,23 +335,15 @@ impl<'a> Simplifier<'a> {
         });
     }
 
-    /// Renews the keys of all edges at `s` and marks its neighbours as changed.
-    fn renew_keys_around(&mut self, s: u32) {
-        let Some(mut h) = self.surface.spokes(s).next() else { return };
-        let first = h;
-        loop {
-            self.renew_key(h);
-            let to = self.surface.target(h);
-            self.changed_in[to as usize] = self.passes;
-            let incoming = prev(h);
-            match self.surface.twin(incoming) {
-                Some(twin) if twin == first => return,
-                Some(twin) => h = twin,
-                None => {
-                    self.renew_key(incoming);
-                    self.changed_in[self.surface.origin(incoming) as usize] = self.passes;
-                    return;
-                }
+    /// Fills `around` with the edges at `s`, counter-clockwise, and the neighbours at their other ends.
+    fn gather_around(&mut self, s: u32) {
+        let Self { surface, around, .. } = self;
+        around.clear();
+        around.extend(surface.spokes(s).map(|h| (h, surface.target(h))));
+        if let Some(&(last, _)) = around.last() {
+            let incoming = prev(last);
+            if surface.twin(incoming).is_none() {
+                around.push((incoming, surface.origin(incoming)));
             }
         }
     }
