@@ -8,7 +8,7 @@ use glam::DVec3;
 
 use super::{NONE, Point};
 
-/// Most samples that one vertex carries: one cache line of ids.
+/// Most samples that one vertex carries.
 const MAX_SAMPLES: usize = 16;
 
 /// The faces around a vertex, prepared for distances from many points.
@@ -167,26 +167,39 @@ pub(crate) struct Deviation {
 
 #[derive(Clone, Copy, Debug)]
 struct Candidate {
-    id: u32,
+    sample: Point,
     octant: u8,
     is_kept: bool,
     score: f64,
 }
 
 /// The samples of all vertices.
+///
+/// They are copies, in blocks that collapses hand on: looking the originals up would miss the cache for nearly every one, and
+/// only vertices that something collapsed onto need a block.
 #[derive(Debug)]
 pub(crate) struct Samples {
-    ids: Vec<[u32; MAX_SAMPLES]>,
-    counts: Vec<u8>,
+    blocks: Vec<Block>,
+    /// Blocks not in use; the last one freed is likely still in the cache.
+    free: Vec<u32>,
+    /// Block of each vertex, or [`NONE`].
+    block_of: Vec<u32>,
     has_colors: bool,
     candidates: Vec<Candidate>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Block {
+    count: u32,
+    samples: [Point; MAX_SAMPLES],
 }
 
 impl Samples {
     pub(crate) fn new(vertex_count: usize, has_colors: bool) -> Self {
         Self {
-            ids: vec![[NONE; MAX_SAMPLES]; vertex_count],
-            counts: vec![0; vertex_count],
+            blocks: Vec::new(),
+            free: Vec::new(),
+            block_of: vec![NONE; vertex_count],
             has_colors,
             candidates: Vec::with_capacity(2 * MAX_SAMPLES + 1),
         }
@@ -201,8 +214,7 @@ impl Samples {
         let enough_squared = if self.has_colors { -1.0 } else { enough * enough };
         let on_border = points[s as usize].is_boundary;
         let (mut worst, mut worst_color, mut reach) = (0.0f64, 0.0f64, 0.0f64);
-        for id in self.of(t).chain([t]).chain(self.of(s)) {
-            let point = &points[id as usize];
+        for point in self.of(t).iter().chain([&points[t as usize]]).chain(self.of(s)) {
             let q = point.at() - star.center;
             let nearest = star.nearest(q, enough_squared);
             let mut score = nearest.distance_squared;
@@ -217,23 +229,43 @@ impl Samples {
                 score = score.max(difference * difference * q.length_squared());
             }
             let octant = u8::from(q.x < 0.0) | u8::from(q.y < 0.0) << 1 | u8::from(q.z < 0.0) << 2;
-            candidates.push(Candidate { id, octant, is_kept: false, score });
+            candidates.push(Candidate { sample: *point, octant, is_kept: false, score });
         }
         if candidates.len() > MAX_SAMPLES {
             keep_worst_and_spread(&mut candidates);
         }
-        let kept = &mut self.ids[s as usize];
-        for (slot, candidate) in kept.iter_mut().zip(&candidates) {
-            *slot = candidate.id;
+        let kept = self.shared_block(s, t);
+        for (slot, candidate) in kept.samples.iter_mut().zip(&candidates) {
+            *slot = candidate.sample;
         }
-        self.counts[s as usize] = candidates.len() as u8;
+        kept.count = candidates.len() as u32;
         self.candidates = candidates;
         let distance = worst.sqrt();
         Deviation { distance: if distance > enough { distance } else { 0.0 }, color: worst_color * 2.0 * reach.sqrt() }
     }
 
-    fn of(&self, v: u32) -> impl Iterator<Item = u32> + '_ {
-        self.ids[v as usize][..usize::from(self.counts[v as usize])].iter().copied()
+    fn of(&self, v: u32) -> &[Point] {
+        match self.blocks.get(self.block_of[v as usize] as usize) {
+            Some(block) => &block.samples[..block.count as usize],
+            None => &[],
+        }
+    }
+
+    /// The block of `s`, be it its own, that of `t` or another; that of `t` is free otherwise.
+    fn shared_block(&mut self, s: u32, t: u32) -> &mut Block {
+        let of_t = std::mem::replace(&mut self.block_of[t as usize], NONE);
+        let slot = &mut self.block_of[s as usize];
+        if *slot == NONE {
+            *slot = if of_t != NONE { of_t } else { self.free.pop().unwrap_or(self.blocks.len() as u32) };
+        } else if of_t != NONE {
+            self.free.push(of_t);
+        }
+        let index = *slot as usize;
+        if index == self.blocks.len() {
+            let nowhere = Point { position: [0; 3], color: [0; 3], is_boundary: false };
+            self.blocks.push(Block { count: 0, samples: [nowhere; MAX_SAMPLES] });
+        }
+        &mut self.blocks[index]
     }
 }
 

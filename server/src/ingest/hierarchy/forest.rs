@@ -201,8 +201,8 @@ fn error_band(error: Magnitude) -> u8 {
     if error.0 == 0 { 0 } else { 1 + ((error.0 - 1) >> 12) as u8 }
 }
 
-/// Interleaved bits of a lattice point, 21 per axis.
-fn morton(at: [i32; 3], max: i32) -> u64 {
+/// Interleaved bits of a lattice point, 21 per axis; clamped to `0 ..= max`.
+pub(crate) fn morton(at: [i32; 3], max: i32) -> u64 {
     let spread = |x: i32| {
         let mut x = u64::from(x.clamp(0, max) as u32);
         x = (x | x << 32) & 0x001f_0000_0000_ffff;

@@ -34,8 +34,10 @@ const KEEPS_TARGET: u32 = 1;
 const IS_BLOCKED: u32 = 2;
 /// Key of a half-edge that does not stand for its edge (the smaller of two twins does) or is gone.
 const NO_KEY: u32 = u32::MAX;
-/// Keys per histogram bin, as a shift: four bits of mantissa remain.
-const BIN_SHIFT: u32 = 19;
+/// Keys per histogram bin, as a shift: three bits of mantissa remain.
+const BIN_SHIFT: u32 = 20;
+/// Edges that are sorted together: few enough for what they touch to stay in the cache.
+const BLOCK: usize = 8192;
 
 /// A mesh under simplification and what is carried with it.
 pub(crate) struct Simplifier<'a> {
@@ -58,11 +60,15 @@ pub(crate) struct Simplifier<'a> {
     /// Per vertex, the last pass in which its star changed. In that pass it takes no further part.
     changed_in: Vec<u32>,
     live_faces: Vec<u32>,
+    /// Keys and half-edges of the edges that are not blocked.
     open: Vec<(u32, u32)>,
+    bins: Vec<u32>,
     candidates: Vec<(u32, u32)>,
     examined: Examined,
     star: Star,
     ring: Vec<DVec3>,
+    /// Edges at the vertex just kept, as half-edges, and their other ends.
+    around: Vec<(u32, u32)>,
 }
 
 /// What came of an attempt.
@@ -93,10 +99,12 @@ impl<'a> Simplifier<'a> {
             changed_in: vec![0; vertices],
             live_faces: (0..surface.face_count() as u32).collect(),
             open: Vec::new(),
+            bins: vec![0; (NO_KEY >> BIN_SHIFT) as usize + 1],
             candidates: Vec::new(),
             examined: Examined::new(vertices),
             star: Star::default(),
             ring: Vec::new(),
+            around: Vec::new(),
             surface,
         };
         simplifier.renew_all_keys();
@@ -136,36 +144,46 @@ impl<'a> Simplifier<'a> {
     /// One pass. False if there was no edge left to consider.
     fn pass(&mut self, stage: &Stage) -> bool {
         self.passes += 1;
-        let Some(limit) = self.gather_candidates() else { return false };
-        let candidates = std::mem::take(&mut self.candidates);
-        for &(key, h) in &candidates {
-            let (a, b) = (self.surface.origin(h), self.surface.target(h));
-            if self.changed_in[a as usize] == self.passes || self.changed_in[b as usize] == self.passes {
-                continue;
+        let Some(limit) = self.gather_open() else { return false };
+        let open = std::mem::take(&mut self.open);
+        for block in open.chunks(BLOCK) {
+            self.sort_candidates(block, limit);
+            let candidates = std::mem::take(&mut self.candidates);
+            for &(key, h) in &candidates {
+                self.consider(key, h, limit, stage);
             }
-            let keep_origin = key & KEEPS_TARGET == 0;
-            let key = match self.attempt(h, keep_origin, limit, stage) {
-                Outcome::Collapsed => continue,
-                Outcome::Postponed(key) => key,
-                Outcome::Illegal => match self.attempt(h, !keep_origin, limit, stage) {
-                    Outcome::Collapsed => continue,
-                    Outcome::Postponed(key) => key,
-                    Outcome::Illegal => {
-                        self.blocked_in[h as usize] = self.passes;
-                        key | IS_BLOCKED
-                    }
-                },
-            };
-            self.keys[h as usize] = key;
+            self.candidates = candidates;
         }
-        self.candidates = candidates;
+        self.open = open;
         true
     }
 
-    /// Fills `candidates` with the cheapest share of the edges, cheaper bins first and by half-edge within a bin. Returns the
-    /// largest key that belongs, or `None` if all edges are blocked.
-    fn gather_candidates(&mut self) -> Option<u32> {
-        let mut bins = vec![0u32; (NO_KEY >> BIN_SHIFT) as usize + 1];
+    /// Tries to collapse the edge at `h` in either direction, the one in its key first; notes what came of it in the key.
+    fn consider(&mut self, key: u32, h: u32, limit: u32, stage: &Stage) {
+        let (a, b) = (self.surface.origin(h), self.surface.target(h));
+        if self.changed_in[a as usize] == self.passes || self.changed_in[b as usize] == self.passes {
+            return;
+        }
+        let keep_origin = key & KEEPS_TARGET == 0;
+        let key = match self.attempt(h, keep_origin, limit, stage) {
+            Outcome::Collapsed => return,
+            Outcome::Postponed(key) => key,
+            Outcome::Illegal => match self.attempt(h, !keep_origin, limit, stage) {
+                Outcome::Collapsed => return,
+                Outcome::Postponed(key) => key,
+                Outcome::Illegal => {
+                    self.blocked_in[h as usize] = self.passes;
+                    key | IS_BLOCKED
+                }
+            },
+        };
+        self.keys[h as usize] = key;
+    }
+
+    /// Fills `open` with all edges that are not blocked, by half-edge. Returns the largest key among the cheapest share of
+    /// them, rounded up to a bin, or `None` if all edges are blocked.
+    fn gather_open(&mut self) -> Option<u32> {
+        self.bins.fill(0);
         self.open.clear();
         let mut live_faces = std::mem::take(&mut self.live_faces);
         live_faces.retain(|&f| self.removed_by[f as usize] == NONE);
@@ -184,37 +202,44 @@ impl<'a> Simplifier<'a> {
                     key = self.edge_key(h);
                     self.keys[h as usize] = key;
                 }
-                bins[(key >> BIN_SHIFT) as usize] += 1;
+                self.bins[(key >> BIN_SHIFT) as usize] += 1;
                 self.open.push((key, h));
             }
         }
         self.live_faces = live_faces;
-        if self.open.is_empty() {
-            return None;
-        }
-        let wanted = ((self.open.len() as f64 * SHARE) as usize).max(MIN_CANDIDATES);
+        let wanted = ((self.open.len() as f64 * SHARE) as usize).max(MIN_CANDIDATES).min(self.open.len());
         let mut total = 0;
-        let mut last = 0;
-        for (bin, count) in bins.iter_mut().enumerate() {
-            let start = total;
-            total += *count as usize;
-            *count = start as u32;
-            last = bin as u32;
-            if total >= wanted {
-                break;
-            }
+        let last = self.bins.iter().position(|&count| {
+            total += count as usize;
+            total >= wanted
+        })?;
+        (!self.open.is_empty()).then(|| (last as u32) << BIN_SHIFT | ((1 << BIN_SHIFT) - 1))
+    }
+
+    /// Fills `candidates` with the edges of `block` within the limit, cheaper bins first, by half-edge within a bin.
+    ///
+    /// Which of two far edges comes first makes no difference, so each block is sorted by itself: its part of the mesh stays
+    /// in the cache while it is worked on.
+    fn sort_candidates(&mut self, block: &[(u32, u32)], limit: u32) {
+        let last = (limit >> BIN_SHIFT) as usize;
+        let bins = &mut self.bins[..=last];
+        bins.fill(0);
+        let mut total = 0;
+        for &(key, _) in block.iter().filter(|&&(key, _)| key <= limit) {
+            bins[(key >> BIN_SHIFT) as usize] += 1;
+            total += 1;
+        }
+        let mut start = 0;
+        for count in bins.iter_mut() {
+            start += std::mem::replace(count, start);
         }
         self.candidates.clear();
         self.candidates.resize(total, (NO_KEY, NONE));
-        for &(key, h) in &self.open {
-            let bin = key >> BIN_SHIFT;
-            if bin <= last {
-                let place = &mut bins[bin as usize];
-                self.candidates[*place as usize] = (key, h);
-                *place += 1;
-            }
+        for &(key, h) in block.iter().filter(|&&(key, _)| key <= limit) {
+            let place = &mut bins[(key >> BIN_SHIFT) as usize];
+            self.candidates[*place as usize] = (key, h);
+            *place += 1;
         }
-        Some((last << BIN_SHIFT) | ((1 << BIN_SHIFT) - 1))
     }
 
     /// Tries one direction of the edge at `h`.
@@ -233,12 +258,14 @@ impl<'a> Simplifier<'a> {
         Outcome::Collapsed
     }
 
+    #[inline]
     fn cost(&self, s: u32, t: u32) -> f64 {
         let [ps, pt] = [s, t].map(|v| &self.points[v as usize]);
         quadric::cost(self.quadrics[s as usize].c, &self.quadrics[t as usize], ps, pt)
     }
 
     /// Key of the cheaper direction of an edge. A direction that takes a boundary vertex inside is no choice.
+    #[inline]
     fn edge_key(&self, h: u32) -> u32 {
         let (a, b) = (self.surface.origin(h), self.surface.target(h));
         let is_inner = self.surface.twin(h).is_some();
@@ -259,7 +286,7 @@ impl<'a> Simplifier<'a> {
         let points = self.points;
         let Self { surface, ring, examined, carried, .. } = self;
         ring.clear();
-        ring.extend(surface.neighbors(t).map(|v| points[v as usize].at()));
+        ring.extend(examined.around.iter().map(|&v| points[v as usize].at()));
         let removed = [left, right].into_iter().flatten().map(|h| face_normal(surface, points, h / 3));
         let changed = examined.normals.iter().flat_map(|&(before, after)| [before, after]);
         let region = bounds::merge(&carried[s as usize], &carried[t as usize], ring, changed.chain(removed));
@@ -275,8 +302,13 @@ impl<'a> Simplifier<'a> {
         self.quadrics[s as usize].absorb(&gone, ps.at() - pt.at());
         self.changed_in[s as usize] = self.passes;
         self.changed_in[t as usize] = self.passes;
-        self.star.reset(&ps, self.surface.neighbors(s).map(|v| points[v as usize]), !ps.is_boundary);
-        self.renew_keys_around(s);
+        self.gather_around(s);
+        self.star.reset(&ps, self.around.iter().map(|&(_, v)| points[v as usize]), !ps.is_boundary);
+        for i in 0..self.around.len() {
+            let (h, v) = self.around[i];
+            self.changed_in[v as usize] = self.passes;
+            self.renew_key(h);
+        }
 
         let inherited = self.carried[s as usize].error().max(self.carried[t as usize].error());
         let rms = RMS_FACTOR * self.quadrics[s as usize].rms();
@@ -303,23 +335,15 @@ impl<'a> Simplifier<'a> {
         });
     }
 
-    /// Renews the keys of all edges at `s` and marks its neighbours as changed.
-    fn renew_keys_around(&mut self, s: u32) {
-        let Some(mut h) = self.surface.spokes(s).next() else { return };
-        let first = h;
-        loop {
-            self.renew_key(h);
-            let to = self.surface.target(h);
-            self.changed_in[to as usize] = self.passes;
-            let incoming = prev(h);
-            match self.surface.twin(incoming) {
-                Some(twin) if twin == first => return,
-                Some(twin) => h = twin,
-                None => {
-                    self.renew_key(incoming);
-                    self.changed_in[self.surface.origin(incoming) as usize] = self.passes;
-                    return;
-                }
+    /// Fills `around` with the edges at `s`, counter-clockwise, and the neighbours at their other ends.
+    fn gather_around(&mut self, s: u32) {
+        let Self { surface, around, .. } = self;
+        around.clear();
+        around.extend(surface.spokes(s).map(|h| (h, surface.target(h))));
+        if let Some(&(last, _)) = around.last() {
+            let incoming = prev(last);
+            if surface.twin(incoming).is_none() {
+                around.push((incoming, surface.origin(incoming)));
             }
         }
     }

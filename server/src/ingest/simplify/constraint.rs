@@ -37,6 +37,8 @@ pub(crate) struct Examined {
     pub(crate) arc: Vec<u32>,
     /// Normals of the arc faces before and after, twice the area long.
     pub(crate) normals: Vec<(DVec3, DVec3)>,
+    /// Neighbours of `t`.
+    pub(crate) around: Vec<u32>,
     /// Cost of the slivers it makes.
     pub(crate) sliver: f64,
     /// Per vertex, the number of the last test that met it among the neighbours of `s`.
@@ -49,7 +51,7 @@ impl Examined {
         Self { seen: vec![0; vertex_count], ..Self::default() }
     }
 
-    /// Whether `site` may collapse. Fills `arc`, `normals` and `sliver` if so. O(valence of s and t).
+    /// Whether `site` may collapse. Fills the fields if so. O(valence of s and t).
     ///
     /// Topology is the link condition (Dey, Edelsbrunner, Guha, Nekhayev 1999) with a virtual vertex joined to every boundary
     /// edge, which reduces to: a boundary vertex goes only along a boundary edge; the common neighbours of `s` and `t` are
@@ -87,7 +89,9 @@ impl Examined {
         for v in surface.neighbors(site.s) {
             self.seen[v as usize] = self.tests;
         }
-        let common = surface.neighbors(site.t).filter(|&v| self.seen[v as usize] == self.tests).count();
+        self.around.clear();
+        self.around.extend(surface.neighbors(site.t));
+        let common = self.around.iter().filter(|&&v| self.seen[v as usize] == self.tests).count();
         common == usize::from(site.left.is_some()) + usize::from(site.right.is_some())
     }
 

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use lodestream_protocol::quant::{Lattice, MAX_LATTICE_BITS};
 
-use super::{BuildError, surface::Surface};
+use super::BuildError;
 use crate::{ingest::hierarchy::Point, mesh::TriMesh};
 
 /// Fewest bits that are chosen without being asked for.
@@ -42,8 +42,8 @@ pub(crate) fn choose(mesh: &TriMesh, bits: Option<u8>) -> Result<Lattice, BuildE
     Ok(Lattice::of_box(min, max, bits))
 }
 
-/// The vertices of `mesh`, rounded to `lattice`.
-pub(crate) fn round(mesh: &TriMesh, lattice: &Lattice, surface: &Surface) -> Vec<Point> {
+/// The vertices of `mesh`, rounded to `lattice`; which of them are on the boundary is left open.
+pub(crate) fn round(mesh: &TriMesh, lattice: &Lattice) -> Vec<Point> {
     let colors = mesh.colors.as_deref();
     mesh.positions
         .iter()
@@ -51,7 +51,7 @@ pub(crate) fn round(mesh: &TriMesh, lattice: &Lattice, surface: &Surface) -> Vec
         .map(|(v, &p)| Point {
             position: lattice.quantize(p),
             color: colors.map_or([0; 3], |c| c[v]),
-            is_boundary: surface.is_boundary(v as u32),
+            is_boundary: false,
         })
         .collect()
 }

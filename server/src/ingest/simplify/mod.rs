@@ -10,6 +10,7 @@
 mod batch;
 mod constraint;
 mod lattice;
+mod order;
 mod quadric;
 mod report;
 mod surface;
@@ -115,10 +116,18 @@ pub fn build(
     let mut tell = |stage, fraction| progress(Progress { stage, fraction });
     tell(BuildStage::Prepare, 0.0);
     check(mesh, options)?;
-    let surface = Surface::new(mesh.positions.len(), &mesh.faces)?;
     let lattice = lattice::choose(mesh, options.bits)?;
-    let points = lattice::round(mesh, &lattice, &surface);
-    let components = Components::new(&points, &mesh.faces);
+    let (mut points, faces) = order::by_place(&lattice::round(mesh, &lattice), &mesh.faces, lattice.bits);
+    let surface = match Surface::new(points.len(), &faces) {
+        Ok(surface) => surface,
+        // Said again in the caller's numbering.
+        Err(error) => return Err(Surface::new(mesh.positions.len(), &mesh.faces).err().unwrap_or(error)),
+    };
+    for (v, point) in (0..).zip(&mut points) {
+        point.is_boundary = surface.is_boundary(v);
+    }
+    let components = Components::new(&points, &faces);
+    drop(faces);
     let is_open = is_open(&surface, &points);
     timings.prepare = started.elapsed().as_secs_f64();
 
@@ -182,10 +191,11 @@ fn check(mesh: &TriMesh, options: &BuildOptions) -> Result<(), BuildError> {
     }
     match &mesh.colors {
         Some(colors) if colors.len() != mesh.positions.len() => {
-            Err(BuildError::ColorCount { colors: colors.len(), vertices: mesh.positions.len() })
+            return Err(BuildError::ColorCount { colors: colors.len(), vertices: mesh.positions.len() });
         }
-        _ => Ok(()),
+        _ => {}
     }
+    surface::check_indices(mesh.positions.len(), &mesh.faces)
 }
 
 /// Whether so much boundary is there that the inside can be seen: more than twice the side of a square of the surface's area.

@@ -19,7 +19,7 @@ pub(crate) fn next(h: u32) -> u32 {
 /// Previous half-edge around the same face.
 #[inline]
 pub(crate) fn prev(h: u32) -> u32 {
-    if h % 3 == 0 { h + 2 } else { h - 1 }
+    if h.is_multiple_of(3) { h + 2 } else { h - 1 }
 }
 
 /// An oriented triangle manifold, possibly with boundary, as half-edges.
@@ -38,20 +38,10 @@ pub(crate) struct Surface {
 impl Surface {
     /// Builds the structure and checks what [`BuildError`] lists. O(faces + vertices) for any valence.
     pub(crate) fn new(vertex_count: usize, faces: &[[u32; 3]]) -> Result<Self, BuildError> {
-        if faces.len() > (NONE / 3 - 1) as usize || vertex_count > (NONE - 1) as usize {
-            return Err(BuildError::TooLarge { vertices: vertex_count, faces: faces.len() });
-        }
+        check_indices(vertex_count, faces)?;
         let mut valences = vec![0u32; vertex_count];
-        for (face, corners) in faces.iter().enumerate() {
-            for k in 0..3 {
-                match valences.get_mut(corners[k] as usize) {
-                    Some(valence) => *valence += 1,
-                    None => return Err(BuildError::NoSuchVertex { face, vertex: corners[k] }),
-                }
-                if corners[k] == corners[(k + 1) % 3] {
-                    return Err(BuildError::RepeatedCorner { face });
-                }
-            }
+        for &v in faces.iter().flatten() {
+            valences[v as usize] += 1;
         }
         let origins: Vec<u32> = faces.iter().flatten().copied().collect();
         // Half-edges grouped by origin.
@@ -236,6 +226,23 @@ impl Surface {
             self.twins[incoming as usize] = outgoing;
         }
     }
+}
+
+/// Checks counts, corner indices and repeated corners.
+pub(crate) fn check_indices(vertex_count: usize, faces: &[[u32; 3]]) -> Result<(), BuildError> {
+    if faces.len() > (NONE / 3 - 1) as usize || vertex_count > (NONE - 1) as usize {
+        return Err(BuildError::TooLarge { vertices: vertex_count, faces: faces.len() });
+    }
+    for (face, corners) in faces.iter().enumerate() {
+        if let Some(&vertex) = corners.iter().find(|&&v| v as usize >= vertex_count) {
+            return Err(BuildError::NoSuchVertex { face, vertex });
+        }
+        let [a, b, c] = corners;
+        if a == b || b == c || c == a {
+            return Err(BuildError::RepeatedCorner { face });
+        }
+    }
+    Ok(())
 }
 
 /// An edge with a direction to collapse it in: `t` onto `s`.

@@ -264,24 +264,43 @@ fn root_references_name_existing_faces() {
     }
 }
 
-/// Real scans, if there are any; a file that is not clean as it stands is passed over.
+/// The real scans there are; a file that is not clean as it stands is passed over.
+fn real_meshes() -> impl Iterator<Item = (&'static str, TriMesh)> {
+    let folder = std::env::var_os("LODESTREAM_MESHES");
+    let names = ["bunny", "armadillo", "rocker-arm", "screwdriver", "fandisk_cad", "gears_cad", "gargo", "dragon_871k"];
+    names.into_iter().filter_map(move |name| {
+        let path = Path::new(folder.as_ref()?).join(name).with_extension("ply");
+        let mesh = path.exists().then(|| read_ply(&path))?;
+        match super::Surface::new(mesh.positions.len(), &mesh.faces) {
+            Ok(_) => Some((name, mesh)),
+            Err(error) => {
+                println!("{name}: passed over, {error}");
+                None
+            }
+        }
+    })
+}
+
 #[test]
 fn real_meshes_refine_to_the_input() {
-    let Some(folder) = std::env::var_os("LODESTREAM_MESHES") else { return };
-    for name in ["bunny", "armadillo", "rocker-arm", "screwdriver", "fandisk_cad", "gears_cad", "gargo", "dragon_871k"]
-    {
-        let path = Path::new(&folder).join(name).with_extension("ply");
-        if !path.exists() {
-            continue;
-        }
-        let mesh = read_ply(&path);
-        if let Err(error) =
-            build(&TriMesh { faces: mesh.faces.clone(), ..mesh.clone() }, &BuildOptions::default(), &mut |_| {})
-        {
-            println!("{name}: passed over, {error}");
-            continue;
-        }
-        let (_, report) = check(name, &mesh, if mesh.faces.len() > 200_000 { 1 } else { 2 });
-        println!("{name}: {}", serde_json::to_string(&report).unwrap());
+    for (name, mesh) in real_meshes() {
+        check(name, &mesh, if mesh.faces.len() > 200_000 { 1 } else { 2 });
+    }
+}
+
+/// Prints a report per real scan, with the processor time that the build took (wall time says little on a busy machine).
+#[test]
+#[ignore = "prints figures, proves nothing"]
+fn figures_of_real_meshes() {
+    let cpu = || -> f64 {
+        let stat = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
+        stat.split(' ').next().and_then(|ns| ns.parse::<f64>().ok()).unwrap_or(f64::NAN) * 1e-9
+    };
+    for (name, mesh) in real_meshes() {
+        let before = cpu();
+        let (_, report) = run(&mesh);
+        let seconds = cpu() - before;
+        let rate = mesh.faces.len() as f64 / seconds * 1e-6;
+        println!("{name}: {seconds:.3} s, {rate:.3} M tri/s; {}", serde_json::to_string(&report).unwrap());
     }
 }
