@@ -1,1 +1,3 @@
-//! From a mesh file to a vertex-split DAG: read, clean, simplify, hierarchy.
+//! From a mesh file to a vertex-split DAG: read, clean, simplify, hierarchy; beside them the generated [`sample`].
+
+pub mod sample;
