@@ -1,1 +1,3 @@
-//! x
+//! What tests of both ends share: generated [`meshes`] and a CPU rasteriser ([`raster`]) as the oracle for pictures.
+
+pub mod raster;

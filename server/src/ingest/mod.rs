@@ -1,6 +1,7 @@
-//! From a mesh file to a vertex-split DAG: read, clean, simplify, hierarchy.
+//! From a mesh file to a vertex-split DAG: read, clean, simplify, hierarchy; beside them the generated [`sample`].
 
 pub mod clean;
 pub mod hierarchy;
 pub mod read;
+pub mod sample;
 pub mod simplify;
