@@ -1,2 +1,3 @@
-//! x
+//! Command line of the Lodestream client.
+
 fn main() {}
