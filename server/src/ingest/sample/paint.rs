@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use super::fossil::{Material, suture_distance};
 use super::math::{cells, cos, floor, fractal, hash, mix, noise, sin, smoothstep, unit};
-use super::sculpture::Sculpture;
+use super::sculpture::{Probe, Sculpture};
 
 /// What is done to one vertex.
 pub(super) struct Touch {
@@ -34,9 +34,8 @@ impl<'a> Painter<'a> {
         Self { sculpture, octaves, finest: 0.3 / step, step }
     }
 
-    /// Relief and colour at `p`, a point of the surface with outward unit normal `n`.
-    pub(super) fn touch(&self, p: DVec3, n: DVec3) -> Touch {
-        let probe = self.sculpture.probe(p);
+    /// Relief and colour at `p`, a point of the surface with outward unit normal `n` and there or very near `probe`.
+    pub(super) fn touch(&self, p: DVec3, n: DVec3, probe: &Probe) -> Touch {
         let seed = self.sculpture.seed();
         // Free space along the normal, near and far: 1 in the open, 0 at the bottom of a crevice.
         let space = |reach: f64| (self.sculpture.distance(p + n * reach) / reach).clamp(0.0, 1.0);

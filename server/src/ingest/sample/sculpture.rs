@@ -9,6 +9,8 @@ use super::math::{cos, floor, fractal, hash, noise, sin, smooth_max, smooth_min,
 
 /// Half the edge of the cube, centred on the origin, that holds the sculpture.
 pub(super) const HALF_EXTENT: f64 = 1.7;
+/// How far the edge between two breaks is rounded.
+const BREAK_EDGE: f64 = 0.03;
 /// How far the edge of a chip is rounded.
 const CHIP_EDGE: f64 = 0.02;
 /// Cells along that cube in the table of nearby fossils.
@@ -118,11 +120,19 @@ impl Sculpture {
 
     fn rock(&self, p: DVec3) -> f64 {
         // An ellipsoid keeps the corners from being corners.
-        let q = p / DVec3::new(1.28, 1.18, 0.72);
-        let rho = q.length().max(1e-6);
-        let mut d = (rho - 1.0) * rho / (p / DVec3::new(1.638, 1.392, 0.518)).length().max(1e-6);
+        const INVERSE: DVec3 = DVec3::new(1.0 / 1.28, 1.0 / 1.18, 1.0 / 0.72);
+        let q = p * INVERSE;
+        let square = q.length_squared().max(1e-12);
+        let mut d = (square - square.sqrt()) / (q * INVERSE).length().max(1e-6);
         for (normal, offset) in &self.breaks {
-            d = smooth_max(d, p.dot(*normal) - offset, 0.03);
+            let outside = p.dot(*normal) - offset;
+            if outside > d - BREAK_EDGE {
+                d = smooth_max(d, outside, BREAK_EDGE);
+            }
+        }
+        // Far outside neither chips nor beds bring the surface here.
+        if d > 0.3 {
+            return d;
         }
         // Before the table exists the chips are still being struck, each into the unchipped block.
         for &index in self.nearby_at(p).map_or(&[][..], |n| &n.chips) {
