@@ -23,6 +23,8 @@ const BLOCK: usize = 32;
 const PER_BLOCK: usize = BLOCK / BRICK;
 /// How fast the field may change per unit of length, for skipping empty space.
 const LIPSCHITZ: f64 = 1.25;
+/// The same for single bricks, where a miss costs little: it is found by following the surface.
+const LIPSCHITZ_BRICK: f64 = 0.85;
 /// Index of an absent brick in a block's table.
 const ABSENT: u32 = u32::MAX;
 
@@ -290,9 +292,10 @@ fn scan_block<F: Fn(DVec3) -> f64>(lattice: &Lattice, block: [usize; 3], field: 
     let base = block.map(|b| b * BLOCK);
     // Is the surface within a cube of `cells` cells at `lo`, as far as its centre can tell?
     let may_cross = |lo: [usize; 3], cells: usize| {
+        let slope = if cells == BRICK { LIPSCHITZ_BRICK } else { LIPSCHITZ };
         let half = lattice.step * cells as f64 * 0.5;
         let centre = lattice.corner([0, 1, 2].map(|k| base[k] + lo[k])) + DVec3::splat(half);
-        field(centre).abs() <= half * 1.7321 * LIPSCHITZ
+        field(centre).abs() <= half * 1.7321 * slope
     };
     let mut bricks = Vec::new();
     if !may_cross([0; 3], BLOCK) {
@@ -482,13 +485,13 @@ fn trace_loops(case: usize, inverted: Option<usize>) -> Loops {
     }
     let mut loops = Loops::default();
     let mut seen = Vec::new();
-    for edge in 0..12 {
+    for (edge, label) in label.iter().enumerate() {
         let [a, b] = edge_corners(edge);
         if inside(a) == inside(b) {
             continue;
         }
-        let place = seen.iter().position(|&l| l == label[edge]).unwrap_or_else(|| {
-            seen.push(label[edge]);
+        let place = seen.iter().position(|l| l == label).unwrap_or_else(|| {
+            seen.push(*label);
             seen.len() - 1
         });
         loops.of_edge[edge] = place as u8;

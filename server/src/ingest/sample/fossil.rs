@@ -142,6 +142,12 @@ fn whorl_field(z: f64, r: f64, turn: f64, radius: f64, width: f64, ribs_per_turn
     let slope = ((x * x + y * y / (width * width)).sqrt() / (tube * rho)).max(1e-6);
     let around = atan2(y, x);
     let side = around.abs();
+    let smooth = (rho - 1.0) / slope;
+    // Far from the surface the relief fades, and where it is gone it need not be found.
+    let nearby = smoothstep(0.7, 0.4, smooth.abs() / tube);
+    if nearby == 0.0 && turn.abs() >= FRAC_PI_2 {
+        return (if turn > 0.0 { smooth.max(r) } else { smooth }, Material::Ammonite { turn, around, rib: 0.0, tube });
+    }
 
     // Ribs sweep forward over the outer edge and fork half-way up the flank, with a knob at the fork.
     let swept = turn - 0.10 * cos(around) + 0.045 * cos(2.0 * around);
@@ -155,10 +161,11 @@ fn whorl_field(z: f64, r: f64, turn: f64, radius: f64, width: f64, ribs_per_turn
     let keel = (1.0 - (side / 0.17) * (side / 0.17)).max(0.0);
     let strength = 0.8 + 0.2 * sin(turn * 1.7 + 0.6);
     let rib = crest * crest * (3.0 - 2.0 * crest) * on_flank * (1.0 - lip);
-    let relief = tube
+    let relief = nearby
+        * tube
         * strength
         * (0.115 * rib + 0.10 * knob * knob * single * single * (1.0 - lip) + keel * keel * (0.10 + 0.03 * double));
-    let mut d = (rho - 1.0) / slope - relief;
+    let mut d = smooth - relief;
 
     // The mouth: a flat end at turn 0, hollow behind it.
     if turn.abs() < FRAC_PI_2 {
@@ -189,7 +196,7 @@ fn scallop(q: DVec3, radius: f64) -> (f64, Material) {
 }
 
 fn crinoid(q: DVec3, half_length: f64, radius: f64) -> (f64, Material) {
-    let place = q.x / (radius * 0.42);
+    let place = q.x / (radius * 0.55);
     let disc = floor(place);
     let edge = (place - disc - 0.5).abs() * 2.0;
     let joint = smoothstep(0.6, 1.0, edge);
@@ -207,14 +214,20 @@ fn belemnite(q: DVec3, half_length: f64, radius: f64) -> (f64, Material) {
     (d * 0.9, Material::Belemnite { along })
 }
 
-/// Distance between suture lines that cross `around` at angle `turn`, in spacings: 0 on a line, 0.5 between two.
+/// Distance from the nearest suture line, in tube radii.
 ///
 /// The lines are the edges of the chamber walls, folded into lobes on lobes.
 pub(super) fn suture_distance(turn: f64, around: f64) -> f64 {
-    let lobes = 0.50 * cos(4.0 * around)
-        + 0.20 * sin(9.0 * around + 1.6 * sin(4.0 * around))
-        + 0.10 * sin(23.0 * around + 1.3 * sin(9.0 * around))
-        + 0.05 * sin(57.0 * around);
-    let place = turn * 17.0 / PI + lobes;
-    (place - floor(place) - 0.5).abs()
+    const PER_RADIAN: f64 = 11.0 / PI;
+    let place = |around: f64| {
+        turn * PER_RADIAN
+            + 0.50 * cos(4.0 * around)
+            + 0.22 * sin(9.0 * around + 1.6 * sin(4.0 * around))
+            + 0.10 * sin(23.0 * around + 1.3 * sin(9.0 * around))
+    };
+    let here = place(around);
+    // Where the line runs along the tube, equal steps of `place` lie closer together.
+    let across = (place(around + 0.01) - here) / 0.01;
+    let along = PER_RADIAN * TUBE;
+    (here - floor(here) - 0.5).abs() / (across * across + along * along).sqrt()
 }

@@ -7,10 +7,20 @@ use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, LN_2, PI};
 
 use glam::DVec3;
 
-/// Largest integer not above `x`, for |x| < 2^53.
+/// 1.5 * 2^52: adding it leaves the nearest integer in the low bits of the sum.
+const TO_INTEGER: f64 = 6_755_399_441_055_744.0;
+
+/// Largest integer not above `x`, for |x| < 2^31, as float and as integer.
+fn split(x: f64) -> (f64, i32) {
+    let shifted = x + TO_INTEGER;
+    let nearest = shifted - TO_INTEGER;
+    let above = nearest > x;
+    (nearest - f64::from(u8::from(above)), (shifted.to_bits() as i32).wrapping_sub(i32::from(above)))
+}
+
+/// Largest integer not above `x`, for |x| < 2^31.
 pub(super) fn floor(x: f64) -> f64 {
-    let truncated = x as i64 as f64;
-    if truncated > x { truncated - 1.0 } else { truncated }
+    split(x).0
 }
 
 fn round(x: f64) -> f64 {
@@ -129,38 +139,63 @@ pub(super) fn gaussian(index: i64, seed: u32) -> f64 {
     (unit(a) + unit(a >> 16) + unit(b) + unit(b >> 16) - 2.0) * 1.732_050_807_568_877
 }
 
-/// Gradient noise: continuous, about -1..1, mean 0, features one unit across.
+/// Directions from the middle of a cube to its edges, four of them twice, scaled so that noise is about -1..1.
+const GRADIENTS: [[f64; 3]; 16] = {
+    const G: f64 = 0.87;
+    [
+        [G, G, 0.0],
+        [-G, G, 0.0],
+        [G, -G, 0.0],
+        [-G, -G, 0.0],
+        [G, 0.0, G],
+        [-G, 0.0, G],
+        [G, 0.0, -G],
+        [-G, 0.0, -G],
+        [0.0, G, G],
+        [0.0, -G, G],
+        [0.0, G, -G],
+        [0.0, -G, -G],
+        [G, G, 0.0],
+        [-G, G, 0.0],
+        [0.0, -G, G],
+        [0.0, -G, -G],
+    ]
+};
+
+/// Gradient noise (Perlin 2002): continuous, about -1..1, mean 0, features one unit across.
 pub(super) fn noise(p: DVec3, seed: u32) -> f64 {
-    let cell = DVec3::new(floor(p.x), floor(p.y), floor(p.z));
-    let f = p - cell;
-    let (ix, iy, iz) = (cell.x as i64, cell.y as i64, cell.z as i64);
-    let corner = |dx: i64, dy: i64, dz: i64| {
-        let h = hash(ix + dx, iy + dy, iz + dz, seed);
-        let gx = unit(h) - 0.5;
-        let gy = unit(h >> 10) - 0.5;
-        let gz = unit(h >> 20) - 0.5;
-        gx * (f.x - dx as f64) + gy * (f.y - dy as f64) + gz * (f.z - dz as f64)
+    let [(cx, ix), (cy, iy), (cz, iz)] = [split(p.x), split(p.y), split(p.z)];
+    let (x, y, z) = (p.x - cx, p.y - cy, p.z - cz);
+    let spread = |i: i32, factor: u32| [i, i.wrapping_add(1)].map(|i| (i as u32).wrapping_mul(factor));
+    let hx = spread(ix, 0x9e37_79b1);
+    let hy = spread(iy, 0x85eb_ca77).map(|h| h.rotate_left(11));
+    let hz = spread(iz, 0xc2b2_ae3d).map(|h| h.rotate_left(22) ^ seed.wrapping_mul(0x27d4_eb2f));
+    let corner = |dx: usize, dy: usize, dz: usize| {
+        let mut h = hx[dx] ^ hy[dy] ^ hz[dz];
+        h = (h ^ h >> 15).wrapping_mul(0x2c1b_3c6d);
+        let g = GRADIENTS[(h >> 28) as usize];
+        g[0] * (x - dx as f64) + g[1] * (y - dy as f64) + g[2] * (z - dz as f64)
     };
     let fade = |t: f64| t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
-    let (u, v, w) = (fade(f.x), fade(f.y), fade(f.z));
-    let plane = |dz: i64| {
+    let (u, v, w) = (fade(x), fade(y), fade(z));
+    let plane = |dz: usize| {
         let front = mix(corner(0, 0, dz), corner(1, 0, dz), u);
         let back = mix(corner(0, 1, dz), corner(1, 1, dz), u);
         mix(front, back, v)
     };
-    mix(plane(0), plane(1), w) * 2.4
+    mix(plane(0), plane(1), w)
 }
 
-/// Sum of noise octaves, each of half the amplitude and about half the wavelength of the one before; about -1..1.
+/// Sum of noise octaves, each of 0.56 times the amplitude and about half the wavelength of the one before; about -1..1.
 pub(super) fn fractal(p: DVec3, octaves: u32, seed: u32) -> f64 {
     let mut sum = 0.0;
-    let mut amplitude = 0.55;
+    let mut amplitude = 0.5;
     let mut q = p;
     for octave in 0..octaves {
         sum += amplitude * noise(q, seed.wrapping_add(octave * 131));
         // A swap of axes hides that the lattices are aligned.
         q = DVec3::new(q.y * 2.03 + 7.1, q.z * 2.03 - 3.7, q.x * 2.03 + 1.9);
-        amplitude *= 0.5;
+        amplitude *= 0.56;
     }
     sum
 }
@@ -174,9 +209,8 @@ pub(super) struct Cells {
 
 /// Cellular noise at `p`.
 pub(super) fn cells(p: DVec3, seed: u32) -> Cells {
-    let cell = DVec3::new(floor(p.x), floor(p.y), floor(p.z));
-    let f = p - cell;
-    let (ix, iy, iz) = (cell.x as i64, cell.y as i64, cell.z as i64);
+    let [(cx, ix), (cy, iy), (cz, iz)] = [split(p.x), split(p.y), split(p.z)].map(|(c, i)| (c, i64::from(i)));
+    let f = p - DVec3::new(cx, cy, cz);
     let mut best = Cells { nearest: 9.0, second: 9.0, id: 0 };
     for dz in -1..=1 {
         for dy in -1..=1 {

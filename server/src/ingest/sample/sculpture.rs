@@ -1,12 +1,18 @@
 //! The sculpture as one signed field: a broken block of bedded limestone with fossils worked out of it.
 
+use std::f64::consts::TAU;
+
 use glam::DVec3;
 
 use super::fossil::{Fossil, Material, Shape};
-use super::math::{cos, floor, fractal, hash, sin, smooth_max, smooth_min, smoothstep, unit};
+use super::math::{cos, floor, fractal, hash, noise, sin, smooth_max, smooth_min, smoothstep, unit};
 
 /// Half the edge of the cube, centred on the origin, that holds the sculpture.
 pub(super) const HALF_EXTENT: f64 = 1.7;
+/// How far the edge between two breaks is rounded.
+const BREAK_EDGE: f64 = 0.03;
+/// How far the edge of a chip is rounded.
+const CHIP_EDGE: f64 = 0.02;
 /// Cells along that cube in the table of nearby fossils.
 const TABLE: usize = 28;
 
@@ -18,8 +24,14 @@ pub(super) struct Sculpture {
     /// Shells broken off: centre and radius of the sphere that took them.
     chips: Vec<(DVec3, f64)>,
     fossils: Vec<Fossil>,
-    /// Per table cell, the fossils whose reach touches it.
-    nearby: Vec<Vec<u16>>,
+    /// Per table cell, the fossils and chips whose reach touches it.
+    nearby: Vec<Nearby>,
+}
+
+/// Places in the lists of the sculpture.
+struct Nearby {
+    fossils: Vec<u16>,
+    chips: Vec<u16>,
 }
 
 /// The field at a point, and what is there.
@@ -46,18 +58,19 @@ impl Sculpture {
             nearby: Vec::new(),
         };
         for i in 0..11 {
-            let angle = (f64::from(i) + 0.7 * random.f64()) * std::f64::consts::TAU / 11.0;
+            let angle = (f64::from(i) + 0.7 * random.f64()) * TAU / 11.0;
             let normal = DVec3::new(cos(angle), sin(angle), 0.7 * (random.f64() - 0.5)).normalize();
             sculpture.breaks.push((normal, 1.0 + 0.12 * random.f64() + 0.10 * normal.x.abs()));
         }
-        for _ in 0..13 {
+        for _ in 0..22 {
             let direction = sphere_direction(&mut random);
-            let radius = 0.35 + 0.5 * random.f64();
-            let at = sculpture.rock_surface(direction);
-            if at.z < 0.15 || at.x.abs().max(at.y.abs()) > 0.95 {
-                sculpture.chips.push((at + direction * (radius - 0.06 - 0.05 * random.f64()), radius));
+            let radius = 0.25 + 0.5 * random.f64();
+            let at = sculpture.meet(direction * 2.4, -direction);
+            if at.z < 0.15 || at.x.abs().max(at.y.abs()) > 0.85 {
+                sculpture.chips.push((at + direction * (radius - 0.05 - 0.08 * random.f64()), radius));
             }
         }
+        sculpture.nearby = sculpture.table();
         sculpture.place_main_fossils();
         sculpture.scatter(&mut random);
         sculpture.nearby = sculpture.table();
@@ -74,7 +87,7 @@ impl Sculpture {
         let mut nearest = f64::MAX;
         let mut found = Material::Rock;
         let mut worked: f64 = 0.0;
-        for &index in self.nearby_at(p) {
+        for &index in self.nearby_at(p).map_or(&[][..], |n| &n.fossils) {
             let fossil = &self.fossils[usize::from(index)];
             let reach = fossil.reach();
             if (p - fossil.centre).length_squared() > reach * reach {
@@ -96,7 +109,7 @@ impl Sculpture {
 
     /// Height in the bedding at `p`, in layers, and a number in [0, 1) for the layer.
     pub(super) fn bedding(&self, p: DVec3, bend: f64) -> (f64, f64) {
-        let height = (p.dot(DVec3::new(0.16, 0.93, -0.25)) + 0.16 * bend) * 7.5;
+        let height = (p.dot(DVec3::new(-0.30, 0.24, 0.92)) + 0.10 * bend) * 8.5;
         (height, unit(hash(floor(height) as i64, 0, 0, self.seed)))
     }
 
@@ -107,33 +120,62 @@ impl Sculpture {
 
     fn rock(&self, p: DVec3) -> f64 {
         // An ellipsoid keeps the corners from being corners.
-        let q = p / DVec3::new(1.28, 1.18, 0.72);
-        let rho = q.length().max(1e-6);
-        let mut d = (rho - 1.0) * rho / (p / DVec3::new(1.638, 1.392, 0.518)).length().max(1e-6);
+        const INVERSE: DVec3 = DVec3::new(1.0 / 1.28, 1.0 / 1.18, 1.0 / 0.72);
+        let q = p * INVERSE;
+        let square = q.length_squared().max(1e-12);
+        let mut d = (square - square.sqrt()) / (q * INVERSE).length().max(1e-6);
         for (normal, offset) in &self.breaks {
-            d = smooth_max(d, p.dot(*normal) - offset, 0.07);
+            let outside = p.dot(*normal) - offset;
+            if outside > d - BREAK_EDGE {
+                d = smooth_max(d, outside, BREAK_EDGE);
+            }
         }
-        for (centre, radius) in &self.chips {
-            d = smooth_max(d, radius - (p - *centre).length(), 0.03);
+        // Far outside neither chips nor beds bring the surface here.
+        if d > 0.3 {
+            return d;
         }
-        if d > 0.4 {
-            return d - 0.1;
+        // Before the table exists the chips are still being struck, each into the unchipped block.
+        for &index in self.nearby_at(p).map_or(&[][..], |n| &n.chips) {
+            let (centre, radius) = self.chips[usize::from(index)];
+            // Nothing to take here unless radius - length > d - CHIP_EDGE; most chips are settled without the root.
+            let within = radius - d + CHIP_EDGE;
+            let away = (p - centre).length_squared();
+            if within > 0.0 && away < within * within {
+                d = smooth_max(d, radius - away.sqrt(), CHIP_EDGE);
+            }
         }
-        let bend = fractal(p * 1.15, 2, self.seed);
+        // The rest moves the surface by less than 0.25.
+        if d.abs() > 0.3 {
+            return d;
+        }
+        let bend = self.bend(p);
         let (height, layer) = self.bedding(p, bend);
         let within = height - floor(height);
-        // Hard and soft layers: each stands out by its own amount, with a rounded lower edge.
-        let ledge = (layer - 0.5) * smoothstep(0.0, 0.16, within) * smoothstep(1.0, 0.86, within);
-        d + 0.075 * bend - 0.075 * ledge
+        // Hard and soft layers: each stands out by its own amount, with rounded edges.
+        let ledge = (layer - 0.5) * smoothstep(0.0, 0.2, within) * smoothstep(1.0, 0.8, within);
+        // Stone breaks in hollows with sharp ridges between them.
+        let scar = noise(p * 2.3 + DVec3::splat(5.3), self.seed ^ 0x5c).abs();
+        d + 0.07 * bend - 0.062 * ledge + 0.10 * (0.25 - scar)
     }
 
-    /// Where a ray from outside towards the centre meets the rock.
-    fn rock_surface(&self, direction: DVec3) -> DVec3 {
-        let mut at = direction * 2.4;
+    /// How far the beds are bent at `p`, about -1..1.
+    pub(super) fn bend(&self, p: DVec3) -> f64 {
+        fractal(p * 1.25, 2, self.seed)
+    }
+
+    /// Where a ray from `from` meets the rock; `direction` has unit length.
+    fn meet(&self, from: DVec3, direction: DVec3) -> DVec3 {
+        let mut at = from;
         for _ in 0..80 {
-            at -= direction * (self.rock(at) * 0.6);
+            at += direction * (self.rock(at) * 0.6);
         }
         at
+    }
+
+    /// Outward normal of the rock at `at`, averaged over about `reach`.
+    fn rock_normal(&self, at: DVec3, reach: f64) -> DVec3 {
+        let slope = |axis: DVec3| self.rock(at + axis * reach) - self.rock(at - axis * reach);
+        DVec3::new(slope(DVec3::X), slope(DVec3::Y), slope(DVec3::Z)).normalize_or(DVec3::Z)
     }
 
     fn place_main_fossils(&mut self) {
@@ -144,42 +186,35 @@ impl Sculpture {
             [u * cos(turned) + v * sin(turned), v * cos(turned) - u * sin(turned), w]
         };
         self.fossils.push(Fossil {
-            shape: Shape::Ammonite { radius: 0.60, width: 0.86, ribs_per_turn: 31.0, mouth: -0.9 },
-            centre: DVec3::new(-0.06, 0.08, 0.27),
+            shape: Shape::Ammonite { radius: 0.70, width: 0.80, ribs_per_turn: 31.0, mouth: -0.9 },
+            centre: DVec3::new(0.02, 0.04, 0.27),
             axes: facing(DVec3::new(0.10, 0.08, 1.0), 0.0),
         });
-        self.fossils.push(Fossil {
-            shape: Shape::Ammonite { radius: 0.17, width: 0.95, ribs_per_turn: 23.0, mouth: 0.6 },
-            centre: DVec3::new(0.87, -0.52, 0.22),
-            axes: facing(DVec3::new(0.45, -0.12, 1.0), 2.2),
-        });
-        self.fossils.push(Fossil {
-            shape: Shape::Scallop { radius: 0.17 },
-            centre: DVec3::new(-0.80, -0.66, 0.18),
-            axes: facing(DVec3::new(-0.25, -0.1, 1.0), 0.5),
-        });
-        self.fossils.push(Fossil {
-            shape: Shape::Crinoid { half_length: 0.22, radius: 0.045 },
-            centre: DVec3::new(0.72, 0.66, 0.20),
-            axes: facing(DVec3::new(0.2, 0.2, 1.0), 2.3),
-        });
-        self.fossils.push(Fossil {
-            shape: Shape::Belemnite { half_length: 0.24, radius: 0.05 },
-            centre: DVec3::new(0.30, -0.84, 0.17),
-            axes: facing(DVec3::new(0.0, -0.3, 1.0), 0.25),
-        });
+        let companions = [
+            (0.90, -0.58, 0.9, 0.02, Shape::Ammonite { radius: 0.15, width: 0.95, ribs_per_turn: 23.0, mouth: 1.4 }),
+            (-0.80, 0.62, 0.4, 0.03, Shape::Ammonite { radius: 0.11, width: 0.9, ribs_per_turn: 21.0, mouth: -2.0 }),
+            (-0.82, -0.66, 0.5, 0.03, Shape::Scallop { radius: 0.16 }),
+            (-0.58, -0.86, -0.9, 0.02, Shape::Scallop { radius: 0.09 }),
+            (0.78, 0.66, 2.3, 0.01, Shape::Crinoid { half_length: 0.20, radius: 0.042 }),
+            (0.97, 0.30, 1.2, 0.005, Shape::Crinoid { half_length: 0.07, radius: 0.03 }),
+            (0.45, -0.93, 0.2, 0.015, Shape::Belemnite { half_length: 0.22, radius: 0.045 }),
+        ];
+        for (x, y, turned, sink, shape) in companions {
+            let at = self.meet(DVec3::new(x, y, 1.5), DVec3::NEG_Z);
+            let normal = self.rock_normal(at, 0.06).lerp(DVec3::Z, 0.3);
+            let axes = facing(normal, turned);
+            self.fossils.push(Fossil { shape, centre: at - axes[2] * sink, axes });
+        }
     }
 
     /// Small fossils all around, wherever there is room.
     fn scatter(&mut self, random: &mut fastrand::Rng) {
         for _ in 0..90 {
             let direction = sphere_direction(random);
-            let (kind, scale, turned) = (random.u32(0..4), 0.6 + 0.8 * random.f64(), random.f64() * 6.28);
-            let tilt = sphere_direction(random) * 0.3;
-            let at = self.rock_surface(direction);
-            let e = 0.02;
-            let slope = |axis: DVec3| self.rock(at + axis * e) - self.rock(at - axis * e);
-            let normal = DVec3::new(slope(DVec3::X), slope(DVec3::Y), slope(DVec3::Z)).normalize_or(direction);
+            let (kind, scale, turned) = (random.u32(0..4), 0.6 + 0.8 * random.f64(), random.f64() * TAU);
+            let tilt = sphere_direction(random) * 0.22;
+            let at = self.meet(direction * 2.4, -direction);
+            let normal = self.rock_normal(at, 0.03);
             if normal.y < -0.8 {
                 continue;
             }
@@ -195,11 +230,11 @@ impl Sculpture {
                         ribs_per_turn: 19.0 + floor(scale * 8.0),
                         mouth: turned,
                     },
-                    0.02,
+                    0.03 * scale,
                 ),
-                1 => (Shape::Scallop { radius: 0.10 * scale }, 0.01),
-                2 => (Shape::Crinoid { half_length: 0.10 * scale, radius: 0.022 * scale }, 0.004),
-                _ => (Shape::Belemnite { half_length: 0.13 * scale, radius: 0.026 * scale }, 0.006),
+                1 => (Shape::Scallop { radius: 0.10 * scale }, 0.025 * scale),
+                2 => (Shape::Crinoid { half_length: 0.10 * scale, radius: 0.022 * scale }, 0.008),
+                _ => (Shape::Belemnite { half_length: 0.13 * scale, radius: 0.026 * scale }, 0.012),
             };
             let fossil = Fossil { shape, centre: at - normal * sink, axes };
             let room = |other: &Fossil| (other.centre - fossil.centre).length() > other.reach() + fossil.reach() - 0.14;
@@ -209,25 +244,32 @@ impl Sculpture {
         }
     }
 
-    fn table(&self) -> Vec<Vec<u16>> {
+    fn table(&self) -> Vec<Nearby> {
         let cell = 2.0 * HALF_EXTENT / TABLE as f64;
-        let mut lists = Vec::with_capacity(TABLE.pow(3));
+        let mut table = Vec::with_capacity(TABLE.pow(3));
         for index in 0..TABLE.pow(3) {
             let at = [index % TABLE, index / TABLE % TABLE, index / (TABLE * TABLE)];
             let lo = DVec3::from_array(at.map(|a| a as f64 * cell - HALF_EXTENT));
-            let touches = |fossil: &Fossil| {
-                let nearest = fossil.centre.clamp(lo, lo + DVec3::splat(cell));
-                (fossil.centre - nearest).length() <= fossil.reach() + 1e-9
+            let touches = |centre: DVec3, reach: f64| {
+                let nearest = centre.clamp(lo, lo + DVec3::splat(cell));
+                (centre - nearest).length() <= reach + 1e-9
             };
-            lists.push((0u16..).zip(&self.fossils).filter(|(_, f)| touches(f)).map(|(i, _)| i).collect());
+            let places = |hits: &mut dyn Iterator<Item = bool>| {
+                (0u16..).zip(hits).filter(|(_, hit)| *hit).map(|(i, _)| i).collect()
+            };
+            table.push(Nearby {
+                fossils: places(&mut self.fossils.iter().map(|f| touches(f.centre, f.reach()))),
+                // Deeper than this in the rock, where no surface can be, a chip need not be asked.
+                chips: places(&mut self.chips.iter().map(|(centre, radius)| touches(*centre, radius + 0.3))),
+            });
         }
-        lists
+        table
     }
 
-    fn nearby_at(&self, p: DVec3) -> &[u16] {
+    fn nearby_at(&self, p: DVec3) -> Option<&Nearby> {
         let cell = ((p + DVec3::splat(HALF_EXTENT)) * (TABLE as f64 / (2.0 * HALF_EXTENT))).to_array();
         let at = cell.map(|c| (c.max(0.0) as usize).min(TABLE - 1));
-        self.nearby.get((at[2] * TABLE + at[1]) * TABLE + at[0]).map_or(&[], Vec::as_slice)
+        self.nearby.get((at[2] * TABLE + at[1]) * TABLE + at[0])
     }
 }
 

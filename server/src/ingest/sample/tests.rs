@@ -96,3 +96,23 @@ fn same_options_give_the_same_mesh() {
     let deviation = (sum / mesh.positions.len() as f64).sqrt();
     assert!((0.001..0.02).contains(&deviation), "{deviation}");
 }
+
+#[test]
+fn triangles_are_even_in_shape_and_size() {
+    let mesh = generate(100_000, 0);
+    let mut areas = Vec::new();
+    let mut slivers = 0;
+    for face in &mesh.faces {
+        let [a, b, c] = face.map(|v| DVec3::from_array(mesh.positions[v as usize]));
+        let area = 0.5 * (b - a).cross(c - a).length();
+        // 1 for an equilateral triangle, 0 for one of no area.
+        let squares = (b - a).length_squared() + (c - b).length_squared() + (a - c).length_squared();
+        slivers += usize::from(4.0 * 3f64.sqrt() * area / squares < 0.3);
+        areas.push(area);
+    }
+    areas.sort_unstable_by(f64::total_cmp);
+    let at = |share: f64| areas[(share * areas.len() as f64) as usize];
+    let spread = at(0.95) / at(0.05);
+    assert!(spread < 5.0, "areas differ by a factor of {spread}");
+    assert!(slivers * 50 < areas.len(), "{slivers} slivers of {}", areas.len());
+}
