@@ -1,17 +1,59 @@
 //! The pack: one immutable file per model.
+//!
+//! [`write()`] makes it from a [`Dag`](record::Dag), [`PackedModel`] reads it in place, [`verify`](fn@verify) replays
+//! every record. The layout is in `FORMAT.md`. This module knows nothing of files, sessions or how a DAG is built.
 
-pub mod cut;
+mod cut;
+mod hash;
+mod inspect;
+mod layout;
+mod metadata;
+mod page;
+mod pages;
+mod read;
 pub mod record;
+mod replay;
+mod spawns;
+#[cfg(any(test, feature = "testing"))]
+pub mod testing;
+mod verify;
+mod write;
 
-use lodestream_protocol::mesh::Patch;
-use lodestream_protocol::message::ModelInfo;
+use std::sync::Arc;
 
-use record::{Bounds, CutRef};
+pub use cut::{CutError, resolve_cut};
+pub use hash::{CompleteMesh, complete_mesh_hash};
+pub use inspect::{Inspection, SectionSize, inspect};
+pub use layout::{PAGE_OPS, VERSION};
+pub use metadata::Metadata;
+pub use page::{Column, TestPage};
+pub use read::{PackedModel, SplitFields};
+pub use replay::{extract_complete, parents_first, replay};
+pub use verify::{VerifyReport, verify};
+pub use write::{WriteError, write, write_to_vec};
+
+/// The bytes of a pack, in memory or mapped.
+pub type PackBytes = Arc<dyn AsRef<[u8]> + Send + Sync>;
 
 /// Why a pack was refused or a part of it cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PackError {
+    /// The file does not begin like a pack.
+    #[error("not a pack")]
+    NotAPack,
+    /// Written by another version of this software, most likely a newer one.
+    #[error("pack version {found} is not supported, only {VERSION} is")]
+    Version {
+        /// The file's version.
+        found: u32,
+    },
+    /// The file needs a reader that knows this kind of section.
+    #[error("the pack needs a newer version of this software: required section of unknown kind {kind}")]
+    UnknownSection {
+        /// The section's kind.
+        kind: u32,
+    },
     /// A checksum or a field does not fit.
     #[error("section {section} is damaged: {reason}")]
     Damaged {
@@ -20,103 +62,31 @@ pub enum PackError {
         /// What is wrong.
         reason: String,
     },
+    /// The caller asked for an op, vertex or face that the model does not have.
+    #[error("the model has no {what} {number}")]
+    OutOfRange {
+        /// Kind of thing.
+        what: &'static str,
+        /// Its number.
+        number: u32,
+    },
 }
 
-/// The fixed fields of a split that the session needs to apply it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SplitFields {
-    /// See [`record::SplitRecord::tree_parent`].
-    pub tree_parent: u32,
-    /// See [`record::SplitRecord::s`].
-    pub s: u32,
-    /// Left cut edge.
-    pub left: CutRef,
-    /// Right cut edge.
-    pub right: CutRef,
-    /// Position of the inserted vertex.
-    pub position: [i32; 3],
-    /// Its colour.
-    pub color: [u8; 3],
-    /// Displacement of `s`.
-    pub s_move: [i32; 3],
-    /// Colour change of `s`.
-    pub s_color_move: [u8; 3],
-}
-
-/// A pack whose header, tables and base were checked; pages are checked at first use.
-#[derive(Debug)]
-pub struct PackedModel {
-    info: ModelInfo,
-    base: Patch,
-}
-
-#[allow(clippy::unused_self, unused_variables, missing_docs)]
-impl PackedModel {
-    pub fn info(&self) -> &ModelInfo {
-        &self.info
-    }
-
-    /// The mesh before any op.
-    pub fn base(&self) -> &Patch {
-        &self.base
-    }
-
-    /// First split of each base vertex, or `NO_OP`.
-    pub fn base_first_splits(&self) -> &[u32] {
-        unimplemented!()
-    }
-
-    /// Spawns are ops `0 .. spawn_count()`.
-    pub fn spawn_count(&self) -> u32 {
-        unimplemented!()
-    }
-
-    /// Splits are ops `spawn_count() .. op_count()`.
-    pub fn op_count(&self) -> u32 {
-        unimplemented!()
-    }
-
-    /// Visibility sphere of an op of either kind.
-    pub fn bounds(&self, op: u32) -> Result<Bounds, PackError> {
-        unimplemented!()
-    }
-
-    /// The forest children of a split: next split of `s`, first split of `t`; `NO_OP` where there is none.
-    pub fn children(&self, split: u32) -> Result<[u32; 2], PackError> {
-        unimplemented!()
-    }
-
-    pub fn split(&self, split: u32) -> Result<SplitFields, PackError> {
-        unimplemented!()
-    }
-
-    /// Owners of the three references of a split without repeats: tree parent, left, right. Spawns count as ops.
-    pub fn parents(&self, split: u32) -> Result<([u32; 3], usize), PackError> {
-        unimplemented!()
-    }
-
-    /// What a spawn inserts.
-    pub fn spawn_patch(&self, spawn: u32) -> Result<Patch, PackError> {
-        unimplemented!()
-    }
-
-    /// First split of each vertex of a spawn, or `NO_OP`.
-    pub fn spawn_first_splits(&self, spawn: u32) -> Result<Vec<u32>, PackError> {
-        unimplemented!()
-    }
-
-    /// Number of triangles of a spawn.
-    pub fn spawn_triangles(&self, spawn: u32) -> Result<u32, PackError> {
-        unimplemented!()
-    }
-
-    /// The spawn (or `None` for the base) that root face `face` belongs to, and its number within that patch.
-    pub fn root_face(&self, face: u32) -> Result<(Option<u32>, u32), PackError> {
-        unimplemented!()
-    }
-
-    /// Likewise for root vertices.
-    pub fn root_vertex(&self, vertex: u32) -> Result<(Option<u32>, u32), PackError> {
-        unimplemented!()
+impl PackError {
+    /// Name of the section at fault; `None` if the request was.
+    pub fn section(&self) -> Option<&'static str> {
+        match self {
+            Self::NotAPack | Self::Version { .. } => Some(layout::HEADER_NAME),
+            Self::UnknownSection { .. } => Some(layout::UNKNOWN_NAME),
+            Self::Damaged { section, .. } => Some(section),
+            Self::OutOfRange { .. } => None,
+        }
     }
 }
+
+fn damaged(section: layout::Section, reason: impl Into<String>) -> PackError {
+    PackError::Damaged { section: section.name(), reason: reason.into() }
+}
+
+#[cfg(test)]
+mod tests;
