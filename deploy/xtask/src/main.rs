@@ -108,8 +108,7 @@ fn missing_tools() -> Vec<String> {
 
 /// Debian's compiler for the browser: the one that comes with library sources. Elsewhere `rustup target add` serves.
 fn wasm_toolchain() -> bool {
-    Path::new("/usr/lib/llvm-19/bin/wasm-ld").exists() && Path::new("/usr/bin/cargo").exists()
-        || rustup_wasm_sysroot()
+    Path::new("/usr/lib/llvm-19/bin/wasm-ld").exists() && Path::new("/usr/bin/cargo").exists() || rustup_wasm_sysroot()
 }
 
 fn rustup_wasm_sysroot() -> bool {

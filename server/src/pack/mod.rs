@@ -10,6 +10,7 @@ mod layout;
 mod metadata;
 mod page;
 mod pages;
+pub mod place;
 mod read;
 pub mod record;
 mod replay;

@@ -1,12 +1,12 @@
 //! The server's copy of what a client holds, and which op made which slot.
 
-use lodestream_protocol::ids::{FaceSlot, VertexSlot};
+use lodestream_protocol::ids::VertexSlot;
 use lodestream_protocol::mesh::{Fan, NewVertex, Patch, Replica, SlotSet};
 use lodestream_protocol::op::{BatchEncoder, DecodeError, OpCounts, OpState};
 
 use super::select::OpMap;
-use crate::pack::cut::{FaceEdge, resolve_cut};
-use crate::pack::record::{CutRef, NO_OP};
+use crate::pack::place::Place;
+use crate::pack::record::NO_OP;
 use crate::pack::{PackError, PackedModel, SplitFields};
 
 /// Why a batch could not be made.
@@ -198,29 +198,26 @@ fn split(
     }
     let mut vertices = Vec::new();
     for (round, ops) in by_round.iter().enumerate() {
-        let mut members: Vec<(u32, u32, SplitFields)> = Vec::with_capacity(ops.len());
+        let mut members: Vec<(Place, u32, SplitFields)> = Vec::with_capacity(ops.len());
         for &op in ops {
             let fields = model.split(op)?;
-            let s = vertex_slot(model, encoder.replica(), slot_of, &fields)
-                .ok_or_else(|| missing(op, "its vertex is not there"))?;
-            members.push((s, op, fields));
+            let place = Place::find(model, encoder.replica(), |op| slot_of.get(&op).copied(), &fields)?
+                .ok_or_else(|| missing(op, "a parent is not applied"))?;
+            members.push((place, op, fields));
         }
-        members.sort_unstable_by_key(|m| m.0);
+        members.sort_unstable_by_key(|m| m.0.s);
         vertices.clear();
-        vertices.extend(members.iter().map(|m| m.0));
+        vertices.extend(members.iter().map(|m| m.0.s.0));
         encoder.split_round(&vertices)?;
-        for (s, op, fields) in members {
-            let left = face_edge(model, encoder.replica(), slot_of, op, fields.left)?;
-            let right = face_edge(model, encoder.replica(), slot_of, op, fields.right)?;
+        for (place, op, fields) in members {
             let vertex = NewVertex {
                 position: fields.position,
                 color: fields.color,
                 s_move: fields.s_move,
                 s_color_move: fields.s_color_move,
             };
-            let resolve =
-                |replica: &Replica, fan: &Fan| Some((resolve_cut(replica, fan, VertexSlot(s), left, right)?, vertex));
-            let t = encoder.split(s, limit, resolve).map_err(|error| missing(op, &error.to_string()))?;
+            let resolve = |replica: &Replica, fan: &Fan| Some((place.cut(replica, fan).ok()?, vertex));
+            let t = encoder.split(place.s.0, limit, resolve).map_err(|error| missing(op, &error.to_string()))?;
             note(op_at, slot_of, op, t.0);
         }
         let more = encoder.end_split_round();
@@ -244,47 +241,4 @@ fn note(op_at: &mut Vec<u32>, slot_of: &mut OpMap<u32>, op: u32, slot: u32) {
     }
     op_at[slot as usize] = op;
     slot_of.insert(op, slot);
-}
-
-/// Slot of the vertex that an op splits, if its tree parent is applied.
-fn vertex_slot(model: &PackedModel, replica: &Replica, slot_of: &OpMap<u32>, fields: &SplitFields) -> Option<u32> {
-    let is_root = fields.tree_parent == NO_OP || fields.tree_parent < model.spawn_count();
-    if is_root {
-        return match model.root_vertex(fields.s).ok()? {
-            (None, vertex) => Some(vertex),
-            (Some(spawn), vertex) => {
-                let address = VertexSlot(*slot_of.get(&spawn)?);
-                replica.spawn_slots(address)?.get(vertex as usize).copied()
-            }
-        };
-    }
-    let t = *slot_of.get(&fields.tree_parent)?;
-    if fields.s == 1 { Some(t) } else { replica.split_from(VertexSlot(t)).map(|s| s.0) }
-}
-
-/// Where a cut edge of `split` is in the mesh now.
-fn face_edge(
-    model: &PackedModel,
-    replica: &Replica,
-    slot_of: &OpMap<u32>,
-    split: u32,
-    cut: CutRef,
-) -> Result<Option<FaceEdge>, MirrorError> {
-    let absent = || missing(split, "the face beside its cut is not there");
-    Ok(match cut {
-        CutRef::None => None,
-        CutRef::Split { op, side, edge } => {
-            let slot = slot_of.get(&op).ok_or_else(absent)?;
-            Some(FaceEdge { face: FaceSlot(2 * slot + u32::from(side)), edge })
-        }
-        CutRef::Root { face, edge } => match model.root_face(face)? {
-            (None, face) => Some(FaceEdge { face: FaceSlot(face), edge }),
-            (Some(spawn), face) => {
-                let address = VertexSlot(*slot_of.get(&spawn).ok_or_else(absent)?);
-                let slots = replica.spawn_slots(address).ok_or_else(absent)?;
-                let slot = slots.get((face / 2) as usize).ok_or_else(absent)?;
-                Some(FaceEdge { face: FaceSlot(2 * slot + face % 2), edge })
-            }
-        },
-    })
 }

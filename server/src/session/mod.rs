@@ -9,7 +9,7 @@
 
 mod mirror;
 mod pacer;
-mod score;
+pub mod score;
 mod select;
 
 use std::collections::VecDeque;
@@ -295,10 +295,9 @@ impl Session {
         self.running.as_ref().map(|running| running.mirror.replica())
     }
 
-    /// Ids of the applied ops, ascending, for tests and diagnostics.
-    pub fn applied_ops(&self) -> Vec<u32> {
-        let mut ops: Vec<u32> =
-            self.running.iter().flat_map(|running| running.mirror.applied()).map(|(op, _)| op).collect();
+    /// Applied ops and the slots they are addressed by, ids ascending, for tests and diagnostics.
+    pub fn applied_ops(&self) -> Vec<(u32, u32)> {
+        let mut ops: Vec<(u32, u32)> = self.running.iter().flat_map(|running| running.mirror.applied()).collect();
         ops.sort_unstable();
         ops
     }
@@ -382,8 +381,8 @@ impl Work {
         let budget = (allowance / BYTES_PER_SPLIT).max(MIN_OPS).min(MAX_OPS_PER_BATCH as usize / 4);
         let left = &self.pending[self.next..];
         let ops = if is_over { &[] } else { &left[..left.len().min(budget)] };
-        let willing = self.stale.len() - self.reluctant.len();
-        if ops.is_empty() && !is_over && willing == 0 {
+        let may_go = |slot| self.stale.contains(slot) && !self.reluctant.contains(slot);
+        if ops.is_empty() && !is_over && !mirror.replica().collapsible().iter().any(may_go) {
             return None;
         }
         // What a view left behind goes in small shares while there are splits to send, then as fast as the link allows.

@@ -12,7 +12,7 @@ use crate::pack::record::{Bounds, Cone};
 /// facing test made conservative for the sphere's extent and the projection for its nearest point). It never exceeds the
 /// priority of the op's forest parent, because spheres, cones and errors are nested.
 #[derive(Clone, Debug)]
-pub(crate) struct Scorer {
+pub struct Scorer {
     eye: DVec3,
     planes: Vec<Plane>,
     /// Pixels per lattice step at distance of one step, or anywhere for parallel rays.
@@ -35,7 +35,8 @@ enum Facing {
 }
 
 impl Scorer {
-    pub(crate) fn new(view: &View, lattice: &Lattice, is_open: bool) -> Self {
+    /// Prepares a view of a model on `lattice`; `is_open` keeps what faces away.
+    pub fn new(view: &View, lattice: &Lattice, is_open: bool) -> Self {
         let origin = DVec3::from_array(lattice.origin);
         let planes = view
             .planes()
@@ -68,17 +69,17 @@ impl Scorer {
 
     /// Whether an op of this priority is wanted, limits aside.
     #[inline]
-    pub(crate) fn wants(&self, priority: f32) -> bool {
+    pub fn wants(&self, priority: f32) -> bool {
         self.complete || priority > self.threshold
     }
 
     /// Largest priority that is not wanted.
-    pub(crate) fn threshold(&self) -> f32 {
+    pub fn threshold(&self) -> f32 {
         self.threshold
     }
 
     /// Projected error in pixels (in lattice steps for complete views), or 0 for what cannot be seen.
-    pub(crate) fn priority(&self, bounds: &Bounds) -> f32 {
+    pub fn priority(&self, bounds: &Bounds) -> f32 {
         let error = bounds.error.decode();
         if self.complete {
             return error;
