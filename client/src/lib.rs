@@ -2,8 +2,10 @@
 //!
 //! - [`core`]: the session as a plain state machine, without I/O or a clock.
 //! - [`camera`]: pose and lens, the view that the server gets, the matrix that the renderer draws with.
+//! - [`net`]: addresses, the WebSocket, simulated slow links.
 
 pub mod camera;
 pub mod core;
 #[cfg(test)]
 mod fake_server;
+pub mod net;
