@@ -4,5 +4,6 @@
 //! - `native`: the WebSocket over tokio (feature `net-native`).
 
 pub mod link;
-
+#[cfg(feature = "net-native")]
+pub mod native;
 pub mod target;
