@@ -17,7 +17,7 @@ pub use orbit::Orbit;
 /// From where a model is looked at unless someone says otherwise: from the front, a little from the right and above.
 pub const DEFAULT_DIRECTION: DVec3 = DVec3::new(0.35, 0.25, 1.0);
 
-/// Near distance that is always enough, as a share of the model's radius: the eye may come this close to the surface.
+/// Distance of the near plane unless more is known, as a share of the distance to what is looked at.
 const NEAREST: f64 = 1e-4;
 
 /// A ball around the model, in model units.
@@ -82,13 +82,15 @@ pub struct Camera {
     pub orientation: DQuat,
     /// Perspective or orthographic.
     pub projection: Projection,
+    /// Distance of the near plane, positive: what is nearer is cut off, and the server refines nothing as if it were nearer.
+    pub near: f64,
 }
 
 impl Camera {
     /// A camera in the origin that looks along -z, with a vertical opening angle in radians.
     pub fn perspective(fov_y_rad: f32) -> Self {
         let projection = Projection::Perspective { fov_y_rad };
-        Self { eye: DVec3::ZERO, orientation: DQuat::IDENTITY, projection }
+        Self { eye: DVec3::ZERO, orientation: DQuat::IDENTITY, projection, near: NEAREST }
     }
 
     /// A camera that sees all of the model: the ball around its box touches the narrower side of the image, seen from
@@ -115,14 +117,16 @@ impl Camera {
             }
         };
         self.look_at(bounds.center + direction * distance, bounds.center);
+        self.fit_near(bounds);
     }
 
-    /// Puts the camera at `eye`, looking at `target`, as upright as possible. If both are the same point it keeps its
-    /// direction.
+    /// Puts the camera at `eye`, looking at `target`, as upright as possible, with the near plane at a ten-thousandth of
+    /// the way. If both are the same point, direction and near plane stay.
     pub fn look_at(&mut self, eye: DVec3, target: DVec3) {
         self.eye = eye;
         if let Some(forward) = (target - eye).try_normalize() {
             self.orientation = look_along(forward, DVec3::Y);
+            self.near = eye.distance(target) * NEAREST;
         }
     }
 
@@ -131,22 +135,21 @@ impl Camera {
         self.orientation * DVec3::NEG_Z
     }
 
-    /// Distance of the near plane: just before the ball where the camera is in front of it, else a ten-thousandth of its
-    /// radius. Nothing of the model is nearer, so the server need not refine for less.
-    pub fn near(&self, bounds: &Bounds) -> f64 {
+    /// Moves the near plane out to just before the ball, if the camera is in front of it.
+    pub fn fit_near(&mut self, bounds: &Bounds) {
         let depth = (bounds.center - self.eye).dot(self.forward()) - bounds.radius;
-        (0.99 * depth).max(bounds.radius * NEAREST)
+        self.near = self.near.max(0.99 * depth);
     }
 
     /// The request to the server.
-    pub fn view(&self, viewport: Viewport, bounds: &Bounds, detail: &Detail) -> View {
+    pub fn view(&self, viewport: Viewport, detail: &Detail) -> View {
         View {
             eye: self.eye.to_array(),
             orientation: self.orientation.as_quat().to_array(),
             projection: self.projection,
             aspect: viewport.aspect() as f32,
             viewport_height_px: viewport.height_px,
-            near: self.near(bounds),
+            near: self.near,
             clip_planes: Vec::new(),
             two_sided: detail.two_sided,
             complete: detail.complete,
@@ -160,7 +163,7 @@ impl Camera {
     /// ball (orthographic). Clear depth to 0 and compare with `Greater`. Reversed, because floats are then dense
     /// where perspective needs them and no far plane has to be chosen.
     pub fn view_projection(&self, aspect: f64, bounds: &Bounds) -> DMat4 {
-        let near = self.near(bounds);
+        let near = self.near;
         let projection = match self.projection {
             Projection::Perspective { fov_y_rad } => {
                 let f = 1.0 / (f64::from(fov_y_rad) / 2.0).tan();
@@ -245,7 +248,7 @@ mod tests {
         {
             let mut camera = Camera { projection, ..Camera::perspective(FOV) };
             camera.look_at(bounds.center + DVec3::new(0.3, 1.2, 0.9) * bounds.radius, bounds.center);
-            let view = camera.view(viewport, &bounds, &Detail::default());
+            let view = camera.view(viewport, &Detail::default());
             assert_eq!(view.validate(), Ok(()));
             let planes = view.planes();
             let matrix = camera.view_projection(viewport.aspect(), &bounds);
@@ -271,14 +274,17 @@ mod tests {
         let bounds = Bounds { center: DVec3::ZERO, radius: 1.0 };
         let mut camera = Camera::perspective(FOV);
         camera.look_at(DVec3::new(0.0, 0.0, 11.0), DVec3::ZERO);
-        assert!((camera.near(&bounds) - 9.9).abs() < 1e-12);
+        assert!((camera.near - 11e-4).abs() < 1e-12);
+        camera.fit_near(&bounds);
+        assert!((camera.near - 9.9).abs() < 1e-12);
         let matrix = camera.view_projection(1.0, &bounds);
         let depth = |z: f64| matrix.project_point3(DVec3::new(0.0, 0.0, z)).z;
         assert!((depth(1.1) - 1.0).abs() < 1e-12);
         assert!(depth(0.0) < depth(1.0) && depth(-1e9) > 0.0);
         // Inside the ball the near plane stays positive.
         camera.look_at(DVec3::ZERO, DVec3::X);
-        assert_eq!(camera.near(&bounds), 1e-4);
+        camera.fit_near(&bounds);
+        assert_eq!(camera.near, 1e-4);
     }
 
     #[test]
@@ -301,5 +307,6 @@ mod tests {
         let mut camera = Camera::perspective(FOV);
         camera.look_at(DVec3::X, DVec3::X);
         assert_eq!(camera.forward(), DVec3::NEG_Z);
+        assert!(camera.near > 0.0);
     }
 }

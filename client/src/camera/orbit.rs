@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3};
 
-use super::{Bounds, Camera, DEFAULT_DIRECTION};
+use super::{Bounds, Camera, DEFAULT_DIRECTION, NEAREST};
 
 /// Steepest pitch: straight up or down would leave the heading undefined.
 const MAX_PITCH_RAD: f64 = 89.0 * std::f64::consts::PI / 180.0;
@@ -60,10 +60,11 @@ impl Orbit {
         self.target += self.rotation() * DVec3::new(right, up, 0.0);
     }
 
-    /// Puts the camera where the orbit says; its lens stays.
+    /// Puts the camera where the orbit says; its lens stays, its near plane follows the distance.
     pub fn pose(&self, camera: &mut Camera) {
         camera.orientation = self.rotation();
         camera.eye = self.target + camera.orientation * DVec3::Z * self.distance;
+        camera.near = self.distance * NEAREST;
     }
 
     fn rotation(&self) -> DQuat {
