@@ -433,6 +433,4 @@ fn check_model(info: &ModelInfo) -> Result<(), ClientError> {
 }
 
 #[cfg(test)]
-pub(crate) mod fake_server;
-#[cfg(test)]
 mod tests;
