@@ -1,10 +1,11 @@
 //! Lodestream's server: ingests meshes into vertex-split DAGs and streams them.
 //!
 //! Layers, lowest first; a module uses only what stands above it in this list:
-//! [`mesh`] (ingest-time geometry), [`pack`] (the file), then side by side [`ingest`], `repository` and `session`, then
-//! `runtime` and `http`.
+//! [`mesh`] (ingest-time geometry), [`pack`] (the file), then side by side [`ingest`], `repository` and [`session`],
+//! then [`runtime`].
 
 pub mod ingest;
 pub mod mesh;
 pub mod pack;
+pub mod runtime;
 pub mod session;
