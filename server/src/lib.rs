@@ -2,8 +2,9 @@
 //!
 //! Layers, lowest first; a module uses only what stands above it in this list:
 //! [`mesh`] (ingest-time geometry), [`pack`] (the file), then side by side [`ingest`], `repository` and [`session`],
-//! then [`runtime`].
+//! then [`runtime`] and [`http`].
 
+pub mod http;
 pub mod ingest;
 pub mod mesh;
 pub mod pack;
