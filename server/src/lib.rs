@@ -3,10 +3,13 @@
 //! Layers, lowest first; a module uses only what stands above it in this list:
 //! [`mesh`] (ingest-time geometry), [`pack`] (the file), then side by side [`ingest`], `repository` and [`session`],
 //! then [`runtime`] and [`http`].
+//! [`config`] and [`telemetry`] serve the commands.
 
+pub mod config;
 pub mod http;
 pub mod ingest;
 pub mod mesh;
 pub mod pack;
 pub mod runtime;
 pub mod session;
+pub mod telemetry;
