@@ -3,8 +3,9 @@
 //! Layers, lowest first; a module uses only what stands above it in this list:
 //! [`mesh`] (ingest-time geometry), [`pack`] (the file), then side by side [`ingest`], `repository` and [`session`],
 //! then [`runtime`] and [`http`].
-//! [`config`] and [`telemetry`] serve the commands.
+//! [`config`] and [`telemetry`] serve [`cli`], the commands, which may use everything.
 
+pub mod cli;
 pub mod config;
 pub mod http;
 pub mod ingest;

@@ -19,7 +19,7 @@ use axum::Router;
 use axum::routing::get;
 
 pub use models::{ModelEntry, ModelStatus, Models, OpenError};
-pub use serve::{Drained, serve};
+pub use serve::{Drained, bind, serve};
 
 use crate::runtime::{Admission, DriverSettings, Pool, Shutdown};
 

@@ -10,6 +10,7 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::time::sleep;
 
 use super::{App, router};
 use crate::runtime::Shutdown;
@@ -36,8 +37,17 @@ pub enum Drained {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Peer(pub(super) SocketAddr);
 
+/// A socket that listens on `address`.
+///
+/// # Errors
+/// The operating system's.
+pub async fn bind(address: SocketAddr) -> std::io::Result<TcpListener> {
+    TcpListener::bind(address).await
+}
+
 /// Serves `app` on `listener` until its shutdown token is triggered, then closes all streams and returns when they are
-/// closed, at the latest after the shutdown deadline.
+/// closed, at the latest after the shutdown deadline or
+/// when the token says hurry.
 pub async fn serve(listener: TcpListener, app: Arc<App>) -> Drained {
     let max_connections = app.settings.max_connections;
     let places = Arc::new(Semaphore::new(max_connections as usize));
@@ -61,9 +71,10 @@ pub async fn serve(listener: TcpListener, app: Arc<App>) -> Drained {
         let _ = places.acquire_many(max_connections).await;
         app.admission.wait_empty().await;
     };
-    match tokio::time::timeout(app.settings.shutdown_deadline, all_closed).await {
-        Ok(()) => Drained::Completely,
-        Err(_) => Drained::Partly { sessions: app.admission.active() },
+    tokio::select! {
+        () = all_closed => Drained::Completely,
+        () = sleep(app.settings.shutdown_deadline) => Drained::Partly { sessions: app.admission.active() },
+        () = app.shutdown.hurried() => Drained::Partly { sessions: app.admission.active() },
     }
 }
 
@@ -74,7 +85,7 @@ async fn accept(listener: &TcpListener, places: &Arc<Semaphore>) -> (TcpStream, 
             Ok((stream, peer)) => return (stream, peer, place),
             Err(error) => {
                 tracing::warn!(%error, "cannot accept a connection");
-                tokio::time::sleep(ACCEPT_PAUSE).await;
+                sleep(ACCEPT_PAUSE).await;
             }
         }
     }
