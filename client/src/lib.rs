@@ -1,1 +1,3 @@
 //! x
+#[cfg(feature = "render")]
+pub mod render;
