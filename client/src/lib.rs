@@ -3,6 +3,7 @@
 //! - [`core`]: the session as a plain state machine, without I/O or a clock.
 //! - [`camera`]: pose and lens, the view that the server gets, the matrix that the renderer draws with.
 //! - [`net`]: addresses, the WebSocket, simulated slow links.
+//! - `render`: the wgpu renderer (feature `render`).
 //! - `app`: what joins them: the offscreen client of `lodestream snapshot` (feature `net-native`).
 
 #[cfg(feature = "net-native")]
@@ -12,3 +13,5 @@ pub mod core;
 #[cfg(test)]
 mod fake_server;
 pub mod net;
+#[cfg(feature = "render")]
+pub mod render;
