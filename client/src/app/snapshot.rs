@@ -64,6 +64,10 @@ pub enum SnapshotError {
     /// The end came before the server had sent a mesh.
     #[error("no mesh has arrived by then: there is nothing to write")]
     NoMesh,
+    /// The picture could not be drawn.
+    #[cfg(feature = "render")]
+    #[error(transparent)]
+    Render(#[from] crate::render::RenderError),
     /// This program cannot draw.
     #[error("not built with the renderer: --output needs it, --export and --stats do not")]
     NoRenderer,
@@ -102,15 +106,15 @@ pub fn run(options: &SnapshotOptions) -> Result<Outcome, SnapshotError> {
         check_folder(path)?;
     }
     let streamed = native::block_on(stream(options)).map_err(SnapshotError::Start)??;
-    let Streamed { session, camera, elapsed } = &streamed;
+    let Streamed { mut session, camera, elapsed } = streamed;
 
-    let outcome = outcome(options, session, *elapsed);
+    let outcome = outcome(options, &session, elapsed);
     if let Some(path) = &options.export {
         let (replica, model) = session.replica().zip(session.model()).ok_or(SnapshotError::NoMesh)?;
         write_aside(path, |out| write_ply(out, replica, model))?;
     }
     if let Some(path) = &options.output {
-        render_png(session, camera.as_ref().ok_or(SnapshotError::NoMesh)?, options.viewport, path)?;
+        render_png(&mut session, camera.as_ref().ok_or(SnapshotError::NoMesh)?, options.viewport, path)?;
     }
     if let Some(path) = &options.stats {
         write_aside(path, |out| {
@@ -122,12 +126,34 @@ pub fn run(options: &SnapshotOptions) -> Result<Outcome, SnapshotError> {
 }
 
 /// Draws the session's mesh and writes it as a PNG file: the one place where `snapshot` meets the renderer.
+#[cfg(feature = "render")]
 fn render_png(
-    _session: &ClientSession,
-    _camera: &Camera,
-    _viewport: Viewport,
-    _path: &Path,
+    session: &mut ClientSession,
+    camera: &Camera,
+    viewport: Viewport,
+    path: &Path,
 ) -> Result<(), SnapshotError> {
+    use crate::render::{RenderCamera, RenderOptions, render_image};
+    let model = session.model().ok_or(SnapshotError::NoMesh)?.clone();
+    let pose = RenderCamera {
+        eye: camera.eye,
+        rotation: camera.orientation,
+        projection: camera.projection,
+        near: camera.near,
+    };
+    let options = RenderOptions {
+        vertex_colors: model.has_colors,
+        crease_angle_deg: model.crease_angle_deg,
+        ..RenderOptions::default()
+    };
+    let replica = session.replica_mut().ok_or(SnapshotError::NoMesh)?;
+    let image = render_image(replica, &model.lattice, &pose, [viewport.width_px, viewport.height_px], &options)?;
+    write_aside(path, |out| image.encode_png(out).map_err(std::io::Error::other))?;
+    Ok(())
+}
+
+#[cfg(not(feature = "render"))]
+fn render_png(_: &mut ClientSession, _: &Camera, _: Viewport, _: &Path) -> Result<(), SnapshotError> {
     Err(SnapshotError::NoRenderer)
 }
 

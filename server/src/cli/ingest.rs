@@ -1,11 +1,20 @@
 //! `ingest`: mesh files become models of a repository.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
+use anyhow::Context as _;
 use lodestream_protocol::quant::{MAX_LATTICE_BITS, MIN_LATTICE_BITS};
 
 use super::UsageError;
 use super::choice::{Choice, parse};
+use super::progress::ProgressLine;
+use crate::ingest::read::read_mesh;
+use crate::ingest::simplify::{BuildOptions, BuildStage, Progress};
+use crate::ingest::{DEFAULT_CREASE_ANGLE_DEG, ingest};
+use crate::mesh::TriMesh;
+use crate::pack::{self, Metadata};
+use crate::repository::{ModelId, Repository};
 
 /// Turn mesh files into models of a repository.
 #[derive(Clone, Debug, clap::Args)]
@@ -52,6 +61,116 @@ pub struct IngestArgs {
     /// Print one JSON object for each model on standard output and no progress.
     #[arg(long)]
     pub json: bool,
+}
+
+/// Ingests the files one after the other; the first that fails ends it, and those before it are published.
+///
+/// # Errors
+/// A file, the repository or a name that cannot be used; names the file.
+pub fn run(args: IngestArgs) -> anyhow::Result<()> {
+    let models = args.models()?;
+    let ids: Vec<ModelId> = models
+        .iter()
+        .map(|(file, id)| id.parse().map_err(|error| UsageError(format!("{}: {error}; use --name", file.display()))))
+        .collect::<Result<_, _>>()?;
+    let repository = Repository::open_or_create(&args.repository)?;
+    for ((file, _), id) in models.iter().zip(&ids) {
+        let started = Instant::now();
+        let mut progress = ProgressLine::new(!args.json);
+        progress.show("read", 0, None);
+        let (mesh, read) = read_mesh(file).with_context(|| format!("cannot ingest {}", file.display()))?;
+        let metadata = Metadata {
+            title: if args.title.is_empty() { id.as_str().to_owned() } else { args.title.clone() },
+            license: args.license.clone(),
+            source: args.source.clone(),
+            crease_angle_deg: DEFAULT_CREASE_ANGLE_DEG,
+            read_report: serde_json::to_value(&read)?,
+            ..Metadata::default()
+        };
+        let options = BuildOptions { bits: args.bits };
+        let report = publish(&repository, id, mesh, metadata, &options, &mut progress)
+            .with_context(|| format!("cannot ingest {}", file.display()))?;
+        drop(progress);
+        report.print(file, started.elapsed(), &read.not_carried, args.json)?;
+    }
+    Ok(())
+}
+
+/// What ingesting one mesh came to.
+#[derive(Debug)]
+pub(super) struct Published {
+    id: ModelId,
+    cleaned: crate::ingest::clean::CleanReport,
+    built: crate::ingest::simplify::BuildReport,
+    bytes: u64,
+}
+
+/// Cleans, builds and publishes a mesh.
+///
+/// # Errors
+/// What building or the repository says.
+pub(super) fn publish(
+    repository: &Repository,
+    id: &ModelId,
+    mesh: TriMesh,
+    metadata: Metadata,
+    options: &BuildOptions,
+    progress: &mut ProgressLine,
+) -> anyhow::Result<Published> {
+    let triangles = mesh.faces.len() as u64;
+    progress.show("clean", 0, None);
+    let done = ingest(mesh, options, &mut |step: Progress| {
+        let stage = match step.stage {
+            BuildStage::Prepare => "prepare",
+            BuildStage::Simplify => "simplify",
+            BuildStage::Assemble => "assemble",
+        };
+        progress.show(stage, (f64::from(step.fraction) * triangles as f64) as u64, Some(triangles));
+    })?;
+    progress.show("write", 0, None);
+    // Times are left out of the pack: the same input gives the same bytes.
+    let mut built = serde_json::to_value(&done.built)?;
+    if let Some(fields) = built.as_object_mut() {
+        fields.remove("timings");
+    }
+    let metadata = Metadata { clean_report: serde_json::to_value(&done.cleaned)?, build_report: built, ..metadata };
+    let bytes = repository.publish(id, |out| pack::write(&done.dag, &done.complete, &metadata, out))?;
+    Ok(Published { id: id.clone(), cleaned: done.cleaned, built: done.built, bytes })
+}
+
+impl Published {
+    /// Says on standard output what was made.
+    pub(super) fn print(
+        &self,
+        file: &Path,
+        elapsed: Duration,
+        not_carried: &[String],
+        as_json: bool,
+    ) -> anyhow::Result<()> {
+        let seconds = elapsed.as_secs_f64();
+        let rate = self.built.triangles as f64 / seconds;
+        if as_json {
+            let line = serde_json::json!({
+                "file": file.display().to_string(), "model": self.id.as_str(), "bytes": self.bytes,
+                "seconds": seconds, "triangles_per_second": rate, "not_carried": not_carried,
+                "clean": self.cleaned, "build": self.built,
+            });
+            println!("{line}");
+            return Ok(());
+        }
+        let Self { id, built, bytes, .. } = self;
+        println!(
+            "{}: {} triangles, {} splits, {bytes} bytes in {seconds:.1} s ({:.2} M triangles/s)",
+            id.as_str(),
+            built.triangles,
+            built.splits,
+            rate / 1e6
+        );
+        println!("  base of {} triangles, {} spawns, {} bits", built.base_triangles, built.spawns, built.bits);
+        println!("  {}", self.cleaned.to_string().trim_end().replace('\n', "\n  "));
+        not_carried.iter().for_each(|what| println!("  not carried: {what}"));
+        Ok(())
+    }
 }
 
 const BITS: std::ops::RangeInclusive<i64> = MIN_LATTICE_BITS as i64..=MAX_LATTICE_BITS as i64;

@@ -27,7 +27,13 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Ingest(ingest::IngestArgs),
     Serve(serve::ServeArgs),
+    Inspect(inspect::InspectArgs),
+    Verify(verify::VerifyArgs),
+    Export(export::ExportArgs),
+    Sample(sample::SampleArgs),
+    Demo(demo::DemoArgs),
 }
 
 /// Arguments that parse one by one but make no sense together.
@@ -35,10 +41,21 @@ enum Command {
 #[error("{0}")]
 pub struct UsageError(pub String);
 
+/// The id of a model as given on the command line.
+fn model_id(text: &str) -> Result<crate::repository::ModelId, UsageError> {
+    text.parse().map_err(|error| UsageError(format!("`{text}`: {error}")))
+}
+
 /// Parses the command line and runs the command.
 pub fn main() -> ExitCode {
     let result = match Cli::parse().command {
+        Command::Ingest(args) => ingest::run(args),
         Command::Serve(args) => serve::run(args),
+        Command::Inspect(args) => inspect::run(args),
+        Command::Verify(args) => verify::run(args),
+        Command::Export(args) => export::run(args),
+        Command::Sample(args) => sample::run(args),
+        Command::Demo(args) => demo::run(args),
     };
     let Err(error) = result else {
         return ExitCode::SUCCESS;

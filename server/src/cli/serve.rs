@@ -7,8 +7,9 @@ use std::path::PathBuf;
 use anyhow::Context as _;
 
 use crate::config::Config;
-use crate::http::models::{Repository, RepositoryModels};
+use crate::http::models::RepositoryModels;
 use crate::http::{self, App, Drained};
+use crate::repository::Repository;
 use crate::runtime::{Shutdown, block_on};
 use crate::telemetry;
 
@@ -34,27 +35,37 @@ pub struct ServeArgs {
 /// # Errors
 /// A configuration, a directory or an address that cannot be used.
 pub fn run(args: ServeArgs) -> anyhow::Result<()> {
+    run_with(args, |_| {})
+}
+
+/// [`run`], calling `note` with the address once it accepts clients.
+pub(super) fn run_with(args: ServeArgs, note: impl FnOnce(SocketAddr)) -> anyhow::Result<()> {
     let mut config = Config::load(args.config.as_deref(), variables())?;
     if let Some(listen) = args.listen {
         config.http.listen = listen;
     }
     let (settings, session) = (config.settings()?, config.session()?);
     telemetry::start(config.log.format, &config.log.filter)?;
-    let repository = Repository::open(&args.repository)
-        .with_context(|| format!("cannot open the repository {}", args.repository.display()))?;
+    let repository = Repository::open(&args.repository)?;
     let models = RepositoryModels::new(repository, session);
     let shutdown = Shutdown::default();
     let app = App::new(Box::new(models), settings, shutdown.clone()).context("cannot start the compute threads")?;
     let io_threads = config.runtime.io_threads as usize;
-    block_on(io_threads, serve(app, config.http.listen, shutdown)).context("cannot start the server's threads")?
+    block_on(io_threads, serve(app, config.http.listen, shutdown, note)).context("cannot start the server's threads")?
 }
 
-async fn serve(app: std::sync::Arc<App>, listen: SocketAddr, shutdown: Shutdown) -> anyhow::Result<()> {
+async fn serve(
+    app: std::sync::Arc<App>,
+    listen: SocketAddr,
+    shutdown: Shutdown,
+    note: impl FnOnce(SocketAddr),
+) -> anyhow::Result<()> {
     shutdown.follow_signals().context("cannot handle signals")?;
     let listener = http::bind(listen).await.with_context(|| format!("cannot listen on {listen}"))?;
     let address = listener.local_addr()?;
     let mut stdout = std::io::stdout();
     writeln!(stdout, "listening on http://{address}").and_then(|()| stdout.flush()).context("standard output")?;
+    note(address);
     tracing::info!(%address, "listening");
     match http::serve(listener, app).await {
         Drained::Completely => tracing::info!("all sessions are closed"),

@@ -1,12 +1,8 @@
 //! Which models there are and how a session on one is opened.
 
-use std::collections::BTreeMap;
-use std::path::Path;
-use std::sync::Arc;
-
 use serde::Serialize;
 
-use crate::pack::{PackError, PackedModel};
+use crate::repository::{ModelState, Repository, RepositoryError};
 use crate::runtime::Core;
 use crate::session::{Session, SessionConfig};
 
@@ -81,60 +77,43 @@ impl RepositoryModels {
 
 impl Models for RepositoryModels {
     fn list(&self) -> Vec<ModelEntry> {
-        self.repository.list()
+        let entries = match self.repository.list() {
+            Ok(entries) => entries,
+            Err(error) => {
+                tracing::error!(%error, "the repository cannot be read");
+                return Vec::new();
+            }
+        };
+        let entry = |entry: crate::repository::ModelEntry| {
+            let id = entry.id.to_string();
+            match &entry.state {
+                ModelState::Ready(model) => ModelEntry {
+                    id,
+                    title: model.info().title.clone(),
+                    triangles: model.info().triangles,
+                    vertices: model.info().vertices,
+                    bytes: model.file_bytes(),
+                    status: ModelStatus::Ready,
+                },
+                ModelState::Damaged(_) => ModelEntry {
+                    id,
+                    title: String::new(),
+                    triangles: 0,
+                    vertices: 0,
+                    bytes: std::fs::metadata(&entry.path).map_or(0, |file| file.len()),
+                    status: ModelStatus::Quarantined,
+                },
+            }
+        };
+        entries.into_iter().map(entry).collect()
     }
 
     fn open(&self, id: &str) -> Result<Box<dyn Core>, OpenError> {
-        let model = self.repository.get(id).map_err(|error| match error {
-            RepositoryError::Unknown => OpenError::Unknown(id.into()),
-            RepositoryError::Damaged(_) | RepositoryError::Io(_) => {
-                OpenError::Unusable { id: id.into(), reason: error.to_string() }
-            }
+        let unknown = || OpenError::Unknown(id.into());
+        let model = self.repository.get(&id.parse().map_err(|_| unknown())?).map_err(|error| match error {
+            RepositoryError::NotFound(_) => unknown(),
+            other => OpenError::Unusable { id: id.into(), reason: other.to_string() },
         })?;
         Ok(Box::new(Session::new(model, self.session)))
-    }
-}
-
-/// Models held in memory by id.
-#[derive(Debug, Default)]
-pub struct Repository {
-    models: BTreeMap<String, (ModelEntry, Arc<PackedModel>)>,
-}
-
-/// Why a repository or a model in it cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum RepositoryError {
-    /// There is no such model.
-    #[error("no such model")]
-    Unknown,
-    /// Its pack is damaged.
-    #[error(transparent)]
-    Damaged(#[from] PackError),
-    /// The operating system's.
-    #[error(transparent)]
-    Io(#[from] std::io::Error),
-}
-
-impl Repository {
-    /// The repository in `directory`.
-    ///
-    /// # Errors
-    /// [`RepositoryError::Io`] when it cannot be read.
-    pub fn open(directory: &Path) -> Result<Self, RepositoryError> {
-        std::fs::read_dir(directory)?;
-        Ok(Self::default())
-    }
-
-    /// All models by id, ascending.
-    pub fn list(&self) -> Vec<ModelEntry> {
-        self.models.values().map(|(entry, _)| entry.clone()).collect()
-    }
-
-    /// A model.
-    ///
-    /// # Errors
-    /// [`RepositoryError`].
-    pub fn get(&self, id: &str) -> Result<Arc<PackedModel>, RepositoryError> {
-        self.models.get(id).map(|(_, model)| Arc::clone(model)).ok_or(RepositoryError::Unknown)
     }
 }
