@@ -1,1 +1,9 @@
-//! x
+//! What tests of both ends share: generated [`meshes`], models built from them ([`model`]), dull twins ([`naive`]), virtual
+//! links ([`sim`]), fuzz targets ([`fuzz`]) and a CPU rasteriser ([`raster`]) as the oracle for pictures.
+
+pub mod fuzz;
+pub mod meshes;
+pub mod model;
+pub mod naive;
+pub mod raster;
+pub mod sim;

@@ -1,2 +1,148 @@
-//! x
-fn main() {}
+//! The project's commands, run as `cargo xtask <command>`.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode};
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail};
+
+const USAGE: &str = "usage: cargo xtask <command>
+
+  demo [args]   build everything and run `lodestream-server demo`: a sample model, ingested and served
+  test          everything that has to pass: format, lints, tests, docs, browser build, fuzz smoke
+  fuzz [secs]   mutate frames, batches and mesh files for so many seconds per target (default 20)
+  setup         install what the tests need on Debian (needs root)
+";
+
+fn main() -> ExitCode {
+    let mut args = std::env::args().skip(1);
+    let command = args.next().unwrap_or_default();
+    let rest: Vec<String> = args.collect();
+    let result = match command.as_str() {
+        "demo" => demo(&rest),
+        "test" => test(),
+        "fuzz" => fuzz(rest.first().map_or("20", String::as_str)),
+        "setup" => setup(),
+        _ => {
+            eprint!("{USAGE}");
+            return ExitCode::from(2);
+        }
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("xtask {command}: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).expect("deploy/xtask lies two levels down").to_path_buf()
+}
+
+/// Runs a command in the project's root, its output going through.
+fn run(program: &str, args: &[&str], environment: &[(&str, &str)]) -> Result<()> {
+    let line = format!("{program} {}", args.join(" "));
+    println!("\n$ {line}");
+    let start = Instant::now();
+    let status = Command::new(program)
+        .args(args)
+        .envs(environment.iter().copied())
+        .current_dir(root())
+        .status()
+        .with_context(|| format!("cannot run {program}"))?;
+    println!("  ({:.0} s)", start.elapsed().as_secs_f64());
+    if status.success() { Ok(()) } else { bail!("`{line}` failed ({status})") }
+}
+
+fn demo(args: &[String]) -> Result<()> {
+    println!("building the server and the client (a few minutes the first time)");
+    run("cargo", &["build", "--release", "-p", "lodestream-server", "-p", "lodestream-client"], &[])?;
+    let binary = target_dir().join("release").join("lodestream-server");
+    let mut all = vec!["demo"];
+    all.extend(args.iter().map(String::as_str));
+    run(binary.to_str().context("the path of the project is not UTF-8")?, &all, &[])
+}
+
+fn target_dir() -> PathBuf {
+    std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from)
+}
+
+fn test() -> Result<()> {
+    let start = Instant::now();
+    let missing = missing_tools();
+    run("cargo", &["fmt", "--all", "--check"], &[])?;
+    run("cargo", &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"], &[])?;
+    // The load tester builds without a renderer, the browser client without tokio: both feature sets keep the layers honest.
+    let headless = ["clippy", "-p", "lodestream-client", "--no-default-features"];
+    run("cargo", &[&headless[..], &["--features", "net-native", "--", "-D", "warnings"]].concat(), &[])?;
+    run("cargo", &[&headless[..], &["--", "-D", "warnings"]].concat(), &[])?;
+    run("cargo", &["build", "--workspace", "--bins"], &[])?;
+    run("cargo", &["test", "--workspace"], &[])?;
+    run("cargo", &["doc", "--workspace", "--no-deps", "--quiet"], &[("RUSTDOCFLAGS", "-D warnings")])?;
+    if wasm_toolchain() {
+        wasm_check()?;
+    }
+    fuzz("20")?;
+    println!("\nall passed in {:.0} s", start.elapsed().as_secs_f64());
+    if !missing.is_empty() {
+        println!("not tested, for want of tools (`cargo xtask setup` installs them on Debian):");
+        missing.iter().for_each(|what| println!("  {what}"));
+    }
+    Ok(())
+}
+
+/// What a test cannot run without, in words.
+fn missing_tools() -> Vec<String> {
+    let mut missing = Vec::new();
+    let drivers = ["/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d"];
+    if cfg!(target_os = "linux") && !drivers.iter().any(|dir| Path::new(dir).is_dir()) {
+        missing.push("images: no Vulkan driver (Debian: mesa-vulkan-drivers)".into());
+    }
+    if !wasm_toolchain() {
+        missing.push("browser build: no wasm32 toolchain (Debian: rustc-web cargo-web rust-web-src lld-19)".into());
+    }
+    missing
+}
+
+/// Debian's compiler for the browser: the one that comes with library sources. Elsewhere `rustup target add` serves.
+fn wasm_toolchain() -> bool {
+    Path::new("/usr/lib/llvm-19/bin/wasm-ld").exists() && Path::new("/usr/bin/cargo").exists() || rustup_wasm_sysroot()
+}
+
+fn rustup_wasm_sysroot() -> bool {
+    let output = Command::new("rustc").args(["--print", "sysroot"]).output();
+    output.is_ok_and(|output| {
+        let sysroot = String::from_utf8_lossy(&output.stdout).trim().to_owned();
+        Path::new(&sysroot).join("lib/rustlib/wasm32-unknown-unknown").is_dir()
+    })
+}
+
+fn wasm_check() -> Result<()> {
+    let target = target_dir().join("browser");
+    let target = target.to_str().context("the path of the project is not UTF-8")?;
+    let packages = ["-p", "lodestream-protocol", "-p", "lodestream-client", "--no-default-features"];
+    let common = ["check", "--target", "wasm32-unknown-unknown", "--target-dir", target];
+    if rustup_wasm_sysroot() {
+        return run("cargo", &[&common[..], &packages].concat(), &[]);
+    }
+    let environment = [
+        ("RUSTC_BOOTSTRAP", "1"),
+        ("RUSTC", "/usr/bin/rustc"),
+        ("RUSTFLAGS", "-C linker=wasm-ld-19"),
+        ("CARGO_INCREMENTAL", "0"),
+    ];
+    run("/usr/bin/cargo", &[&common[..], &["-Zbuild-std=std,panic_abort"], &packages].concat(), &environment)
+}
+
+fn fuzz(seconds: &str) -> Result<()> {
+    run("cargo", &["run", "--quiet", "-p", "lodestream-tests", "--bin", "fuzz", "--", "--seconds", seconds], &[])
+}
+
+fn setup() -> Result<()> {
+    let packages = ["mesa-vulkan-drivers", "rustc-web", "cargo-web", "rust-web-src", "lld-19"];
+    run("apt-get", &["update", "-qq"], &[])?;
+    let install = ["install", "-y", "-qq", "--no-install-recommends"];
+    run("apt-get", &[&install[..], &packages].concat(), &[("DEBIAN_FRONTEND", "noninteractive")])
+}

@@ -4,11 +4,14 @@
 //! for whoever copies the mesh elsewhere (GPU buffers).
 
 mod bits;
+mod digest;
 mod dirty;
+mod fan;
 mod patch;
 mod replica;
 
 pub use bits::SlotSet;
 pub use dirty::DirtySlots;
+pub use fan::{Cut, Fan};
 pub use patch::{Patch, PatchError, twins_of};
-pub use replica::{ApplyError, Cut, Fan, NewVertex, Replica, SplitUndo};
+pub use replica::{ApplyError, NewVertex, Replica, SplitUndo};

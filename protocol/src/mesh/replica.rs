@@ -7,9 +7,11 @@
 use std::collections::BTreeMap;
 
 use super::bits::SlotSet;
+use super::digest::{face_hash, vertex_hash};
 use super::dirty::DirtySlots;
+use super::fan::{Cut, Fan};
 use super::patch::{HalfEdge, NO_HALF_EDGE, Patch, PatchError};
-use crate::ids::{FaceSlot, VertexSlot};
+use crate::ids::VertexSlot;
 use crate::limits::MAX_VERTEX_SLOTS;
 
 const NONE: u32 = u32::MAX;
@@ -17,87 +19,6 @@ const NONE: u32 = u32::MAX;
 const SPAWNED: u32 = 1 << 31;
 /// A face slot that holds no face. Degenerate, so it may be drawn as it is.
 const NO_FACE: [u32; 3] = [0; 3];
-
-/// Where a split opens the fan of `s`: indices of spokes in [`Fan`] order.
-///
-/// Going counter-clockwise, the faces from the right spoke to the left one move to the new vertex.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Cut {
-    /// Both faces are inserted. On a closed fan `right != left`; on an open one `right < left`.
-    Both {
-        /// Spoke that `f_r` opens.
-        right: u32,
-        /// Spoke that `f_l` opens.
-        left: u32,
-    },
-    /// Only `f_l` is inserted: the new vertex becomes the boundary start of an open fan.
-    Left {
-        /// Spoke that `f_l` opens; the faces before it move.
-        left: u32,
-    },
-    /// Only `f_r` is inserted: the new vertex becomes the boundary end of an open fan.
-    Right {
-        /// Spoke that `f_r` opens; the faces after it move.
-        right: u32,
-    },
-}
-
-/// The faces around a vertex, counter-clockwise, in an order that depends on the mesh alone: from the boundary start of an
-/// open fan, from the smallest face slot of a closed one.
-#[derive(Clone, Debug, Default)]
-pub struct Fan {
-    /// Outgoing half-edge in each face.
-    out: Vec<HalfEdge>,
-    /// Slot at the far end of each spoke; an open fan has one spoke more than faces.
-    ring: Vec<u32>,
-}
-
-impl Fan {
-    /// Number of faces around the vertex.
-    #[inline]
-    pub fn faces(&self) -> u32 {
-        self.out.len() as u32
-    }
-
-    /// Vertices at the far ends of the spokes, counter-clockwise.
-    #[inline]
-    pub fn ring(&self) -> &[u32] {
-        &self.ring
-    }
-
-    /// Whether the faces close around the vertex.
-    #[inline]
-    pub fn is_closed(&self) -> bool {
-        self.ring.len() == self.out.len()
-    }
-
-    /// The face between spokes `i` and `i + 1`.
-    #[inline]
-    pub fn face(&self, i: u32) -> FaceSlot {
-        FaceSlot(self.out[i as usize] / 4)
-    }
-
-    /// Whether `cut` opens this fan into two non-empty ones.
-    pub fn admits(&self, cut: Cut) -> bool {
-        let spokes = self.ring.len() as u32;
-        match cut {
-            Cut::Both { right, left } if self.is_closed() => right < spokes && left < spokes && right != left,
-            Cut::Both { right, left } => right < left && left < spokes,
-            Cut::Left { left } => !self.is_closed() && left < spokes,
-            Cut::Right { right } => !self.is_closed() && right < spokes,
-        }
-    }
-
-    /// Number of faces that `cut` moves to the new vertex.
-    pub fn arc_len(&self, cut: Cut) -> u32 {
-        match cut {
-            Cut::Both { right, left } if left < right => left + self.faces() - right,
-            Cut::Both { right, left } => left - right,
-            Cut::Left { left } => left,
-            Cut::Right { right } => self.faces() - right,
-        }
-    }
-}
 
 /// Geometry of a split: the vertex it inserts and what it does to `s`.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
@@ -842,26 +763,6 @@ fn next_in_face(h: HalfEdge) -> HalfEdge {
 #[inline]
 fn previous(h: HalfEdge) -> HalfEdge {
     if h.is_multiple_of(4) { h + 2 } else { h - 1 }
-}
-
-/// Folds a 128-bit product: a cheap mixer (PROTOCOL.md, "Digest").
-#[inline]
-fn fold(a: u64, b: u64) -> u64 {
-    let product = u128::from(a ^ 0x9e37_79b9_7f4a_7c15) * u128::from(b ^ 0xd1b5_4a32_d192_ed03);
-    product as u64 ^ (product >> 64) as u64
-}
-
-#[inline]
-fn vertex_hash(slot: u32, p: [i32; 3], c: [u8; 3]) -> u64 {
-    let [x, y, z] = p.map(|x| u64::from(x as u32));
-    let color = u64::from(c[0]) | u64::from(c[1]) << 8 | u64::from(c[2]) << 16;
-    fold(fold(u64::from(slot) | x << 32, y | z << 32), color)
-}
-
-#[inline]
-fn face_hash(face: u32, c: [u32; 3]) -> u64 {
-    let [a, b, c] = c.map(u64::from);
-    fold(fold(u64::from(face) | a << 32, b | c << 32), 1 << 32)
 }
 
 #[cfg(test)]

@@ -1,5 +1,9 @@
 //! Ingest-time geometry: indexed triangle meshes in `f64`, before they become a vertex-split DAG.
 
+pub mod audit;
+pub(crate) mod edges;
+pub mod export;
+
 /// An indexed triangle mesh as readers produce it and exporters write it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TriMesh {

@@ -11,6 +11,7 @@ mod layout;
 mod metadata;
 mod page;
 mod pages;
+pub mod place;
 mod read;
 pub mod record;
 mod replay;

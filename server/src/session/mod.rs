@@ -1,11 +1,44 @@
 //! The streaming brain of one client, without I/O: frames in, frames out, time as an argument.
+//!
+//! - [`Session::handle_frame`] takes what the client sent;
+//! - [`Session::poll_transmit`] gives the next frame to send, chosen now: nothing is queued, so the newest view wins;
+//! - [`Session::poll_timeout`] says when to poll again although nothing came in.
+//!
+//! `score` judges one op for a view, `select` finds the set of ops that a view asks for, `mirror` keeps the client's state
+//! and encodes, `pacer` says how much may be on its way.
 
+mod mirror;
+mod pacer;
+pub mod score;
+mod select;
+
+use std::collections::VecDeque;
 use std::sync::Arc;
+use std::time::Duration;
 
-use lodestream_protocol::message::CloseCode;
+use lodestream_protocol::ids::{BatchSeq, ViewSeq};
+use lodestream_protocol::limits::MAX_OPS_PER_BATCH;
+use lodestream_protocol::mesh::{Replica, SlotSet};
+use lodestream_protocol::message::{Batch, ClientMessage, CloseCode, Hello, PROTOCOL_VERSION, ServerMessage, Settled};
+use lodestream_protocol::op::encode_base;
 use lodestream_protocol::time::Timestamp;
+use lodestream_protocol::view::View;
+use lodestream_protocol::wire;
 
+use self::mirror::{BatchPlan, Mirror, MirrorError};
+use self::pacer::Pacer;
+use self::score::Scorer;
+use self::select::select;
 use crate::pack::{PackError, PackedModel};
+
+/// How long after the last view an op stays although its priority fell a little below the threshold.
+const HYSTERESIS: Duration = Duration::from_millis(250);
+/// Share of the threshold above which an op stays for that long.
+const HYSTERESIS_SHARE: f32 = 0.7;
+/// Bytes that a split is taken to cost when a batch is sized.
+const BYTES_PER_SPLIT: usize = 3;
+/// Ops that every batch may have, however small the allowance: fewer would be all header.
+const MIN_OPS: usize = 64;
 
 /// What a server decides for all its sessions.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,6 +79,19 @@ impl SessionError {
             Self::Internal(_) => CloseCode::Internal,
         }
     }
+
+    fn malformed(text: impl Into<String>) -> Self {
+        Self::Peer(text.into(), CloseCode::Malformed)
+    }
+}
+
+impl From<MirrorError> for SessionError {
+    fn from(error: MirrorError) -> Self {
+        match error {
+            MirrorError::Model(error) => Self::Model(error),
+            other => Self::Internal(other.to_string()),
+        }
+    }
 }
 
 /// Totals of a session, for metrics and logs.
@@ -74,31 +120,273 @@ pub struct SessionStats {
 /// One client's session.
 #[derive(Debug)]
 pub struct Session {
-    _model: Arc<PackedModel>,
+    model: Arc<PackedModel>,
+    config: SessionConfig,
+    stats: SessionStats,
+    /// Replies to control messages. Bounded: a hello is answered once, a reset only after all batches before it.
+    control: VecDeque<ServerMessage>,
+    /// `None` until the client has said hello.
+    running: Option<Running>,
 }
 
-#[allow(unused_variables, missing_docs)]
+#[derive(Debug)]
+struct Running {
+    cache_entries: u32,
+    mirror: Mirror,
+    pacer: Pacer,
+    last_seq: BatchSeq,
+    view: Option<CurrentView>,
+    work: Option<Work>,
+}
+
+#[derive(Debug)]
+struct CurrentView {
+    seq: ViewSeq,
+    view: View,
+    received_at: Timestamp,
+}
+
+/// What is left to do for the current view.
+#[derive(Debug)]
+struct Work {
+    /// Ops to apply, parents first, in order of priority; done up to `next`.
+    pending: Vec<u32>,
+    next: usize,
+    /// Slots of ops that the view does not ask for.
+    stale: SlotSet,
+    /// Those among `stale` that may stay until the view has rested.
+    reluctant: SlotSet,
+    lambda: f32,
+    error: f32,
+    is_limited: bool,
+    has_settled: bool,
+}
+
 impl Session {
+    /// A session on `model`, waiting for the client's hello.
     pub fn new(model: Arc<PackedModel>, config: SessionConfig) -> Self {
-        Self { _model: model }
+        Self { model, config, stats: SessionStats::default(), control: VecDeque::new(), running: None }
     }
 
     /// Takes one frame from the client.
+    ///
+    /// # Errors
+    /// [`SessionError`] ends the session: close the connection with its code and text.
     pub fn handle_frame(&mut self, now: Timestamp, frame: &[u8]) -> Result<(), SessionError> {
-        unimplemented!()
+        let message = wire::decode_client(frame).map_err(|error| SessionError::malformed(error.to_string()))?;
+        match (message, &mut self.running) {
+            (ClientMessage::Hello(hello), None) => self.greet(now, hello),
+            (ClientMessage::Hello(_), Some(_)) => Err(SessionError::malformed("a second hello")),
+            (_, None) => Err(SessionError::malformed("the first message is not a hello")),
+            (ClientMessage::View { seq, view }, Some(running)) => {
+                view.validate().map_err(|error| SessionError::malformed(error.to_string()))?;
+                let smallest = self.model.info().smallest_limit;
+                if view.triangle_limit < smallest {
+                    let text = format!("limit {} is below this model's smallest, {smallest}", view.triangle_limit);
+                    return Err(SessionError::Peer(text, CloseCode::LimitTooSmall));
+                }
+                if running.view.as_ref().is_some_and(|current| current.seq >= seq) {
+                    return Err(SessionError::malformed("view numbers must increase"));
+                }
+                self.stats.views += 1;
+                running.view = Some(CurrentView { seq, view, received_at: now });
+                running.work = None;
+                Ok(())
+            }
+            (ClientMessage::Ack { seq }, Some(running)) => {
+                if seq > running.last_seq {
+                    return Err(SessionError::malformed("acknowledged a batch that was not sent"));
+                }
+                running.pacer.on_ack(now, seq);
+                Ok(())
+            }
+            (ClientMessage::Reset { .. }, Some(running)) => {
+                self.stats.resets += 1;
+                running.mirror = Mirror::new(&self.model, running.cache_entries)?;
+                running.pacer.restart(now);
+                running.last_seq = BatchSeq(0);
+                running.work = None;
+                self.control.push_back(ServerMessage::Restart);
+                Ok(())
+            }
+        }
     }
 
-    /// Next frame to send, or `None` while the window is full or there is nothing to do. Work per call is bounded.
+    /// Next frame to send, or `None` while the window is full or there is nothing to do. Work per call is bounded by
+    /// [`MAX_OPS_PER_BATCH`], except that the first call after a view selects the ops it asks for.
+    ///
+    /// # Errors
+    /// [`SessionError`] ends the session.
     pub fn poll_transmit(&mut self, now: Timestamp) -> Result<Option<Vec<u8>>, SessionError> {
-        unimplemented!()
+        if let Some(message) = self.control.pop_front() {
+            return Ok(Some(self.frame(&message)));
+        }
+        let Some(running) = &mut self.running else { return Ok(None) };
+        let Some(current) = &running.view else { return Ok(None) };
+        let allowance = running.pacer.allowance(now);
+        if allowance == 0 {
+            return Ok(None);
+        }
+        if running.work.is_none() {
+            running.work = Some(Work::new(&self.model, &current.view, &running.mirror)?);
+        }
+        let work = running.work.as_mut().expect("made above");
+        if work.has_settled {
+            return Ok(None);
+        }
+        if now.since(current.received_at) >= HYSTERESIS {
+            work.reluctant = SlotSet::default();
+        }
+        if let Some(mut plan) = work.next_batch(&running.mirror, current.view.triangle_limit, allowance) {
+            let (ops, counts, applied) = running.mirror.batch(&self.model, &mut plan)?;
+            work.next += applied;
+            running.last_seq.0 += 1;
+            self.stats.batches += 1;
+            self.stats.splits += u64::from(counts.splits);
+            self.stats.cached_splits += u64::from(counts.cached_splits);
+            self.stats.collapses += u64::from(counts.collapses);
+            self.stats.spawns += u64::from(counts.spawns + counts.despawns);
+            let seq = running.last_seq;
+            let message = ServerMessage::Batch(Batch {
+                seq,
+                view: current.seq,
+                limit: current.view.triangle_limit,
+                lambda_px: work.lambda,
+                digest: running.mirror.replica().digest() as u32,
+                ops,
+            });
+            let frame = wire::encode_server(&message);
+            running.pacer.on_send(now, seq, frame.len());
+            self.stats.bytes_sent += frame.len() as u64;
+            return Ok(Some(frame));
+        }
+        if !work.is_done() {
+            return Ok(None);
+        }
+        work.has_settled = true;
+        let message = ServerMessage::Settled(Settled {
+            view: current.seq,
+            seq: running.last_seq,
+            error_px: work.error,
+            limited: work.is_limited,
+        });
+        Ok(Some(self.frame(&message)))
     }
 
-    /// When to call `poll_transmit` again although no frame came in.
+    /// When to call [`poll_transmit`](Self::poll_transmit) again although no frame came in.
     pub fn poll_timeout(&self) -> Option<Timestamp> {
-        unimplemented!()
+        let running = self.running.as_ref()?;
+        let current = running.view.as_ref()?;
+        if running.work.as_ref().is_some_and(|work| work.has_settled) {
+            return None;
+        }
+        let rested = current.received_at + HYSTERESIS;
+        Some(running.pacer.next_refill().map_or(rested, |refill| refill.min(rested)))
     }
 
+    /// Totals so far.
     pub fn stats(&self) -> SessionStats {
-        unimplemented!()
+        let held = self.running.as_ref().map_or(0, Running::heap_bytes);
+        SessionStats { heap_bytes: held as u64, ..self.stats }
+    }
+
+    /// The mirror of the client's mesh, once the client has said hello.
+    pub fn mirror(&self) -> Option<&Replica> {
+        self.running.as_ref().map(|running| running.mirror.replica())
+    }
+
+    /// Applied ops and the slots they are addressed by, ids ascending, for tests and diagnostics.
+    pub fn applied_ops(&self) -> Vec<(u32, u32)> {
+        let mut ops: Vec<(u32, u32)> = self.running.iter().flat_map(|running| running.mirror.applied()).collect();
+        ops.sort_unstable();
+        ops
+    }
+
+    fn greet(&mut self, now: Timestamp, hello: Hello) -> Result<(), SessionError> {
+        if hello.version != PROTOCOL_VERSION {
+            let text = format!("this server speaks version {PROTOCOL_VERSION}, the client {}", hello.version);
+            return Err(SessionError::Peer(text, CloseCode::Version));
+        }
+        let info = self.model.info();
+        // The paper's 5 % of the ops, a quarter of what the client will hold, whichever is smaller.
+        let default = (self.model.op_count() / 20).min(hello.triangle_limit / 4);
+        let cache_entries = hello.cache_entries.unwrap_or(default).min(self.config.max_cache_entries);
+        self.control.push_back(ServerMessage::Welcome {
+            model: info.clone(),
+            cache_entries,
+            base: encode_base(self.model.base(), info.lattice.bits, info.has_colors),
+        });
+        self.running = Some(Running {
+            cache_entries,
+            mirror: Mirror::new(&self.model, cache_entries)?,
+            pacer: Pacer::new(self.config.max_window_bytes, hello.byte_rate, now),
+            last_seq: BatchSeq(0),
+            view: None,
+            work: None,
+        });
+        Ok(())
+    }
+
+    fn frame(&mut self, message: &ServerMessage) -> Vec<u8> {
+        let frame = wire::encode_server(message);
+        self.stats.bytes_sent += frame.len() as u64;
+        frame
+    }
+}
+
+impl Running {
+    fn heap_bytes(&self) -> usize {
+        let work = self
+            .work
+            .as_ref()
+            .map_or(0, |work| work.pending.capacity() * 4 + work.stale.heap_bytes() + work.reluctant.heap_bytes());
+        self.mirror.heap_bytes() + work
+    }
+}
+
+impl Work {
+    fn new(model: &PackedModel, view: &View, mirror: &Mirror) -> Result<Self, PackError> {
+        let scorer = Scorer::new(view, &model.info().lattice, model.info().is_open);
+        let selection = select(model, &scorer, view.triangle_limit)?;
+        let (mut stale, mut reluctant) = (SlotSet::default(), SlotSet::default());
+        for (op, slot) in mirror.applied() {
+            if !selection.set.contains(&op) {
+                stale.insert(slot);
+                if scorer.priority(&model.bounds(op)?) > HYSTERESIS_SHARE * selection.lambda {
+                    reluctant.insert(slot);
+                }
+            }
+        }
+        let mut pending = selection.ops;
+        pending.retain(|&op| !mirror.is_applied(op));
+        Ok(Self {
+            pending,
+            next: 0,
+            stale,
+            reluctant,
+            lambda: selection.lambda,
+            error: selection.error,
+            is_limited: selection.is_limited,
+            has_settled: false,
+        })
+    }
+
+    fn is_done(&self) -> bool {
+        self.next == self.pending.len() && self.stale.is_empty()
+    }
+
+    /// What to do with an allowance of so many bytes, or `None` when there is nothing to do now.
+    fn next_batch(&mut self, mirror: &Mirror, limit: u32, allowance: usize) -> Option<BatchPlan<'_>> {
+        let is_over = mirror.replica().triangle_count() > limit;
+        let budget = (allowance / BYTES_PER_SPLIT).max(MIN_OPS).min(MAX_OPS_PER_BATCH as usize / 4);
+        let left = &self.pending[self.next..];
+        let ops = if is_over { &[] } else { &left[..left.len().min(budget)] };
+        let may_go = |slot| self.stale.contains(slot) && !self.reluctant.contains(slot);
+        if ops.is_empty() && !is_over && !mirror.replica().collapsible().iter().any(may_go) {
+            return None;
+        }
+        // What a view left behind goes in small shares while there are splits to send, then as fast as the link allows.
+        let spare_collapses = if left.is_empty() { budget } else { budget / 4 } as u32;
+        Some(BatchPlan { ops, stale: &mut self.stale, reluctant: &mut self.reluctant, spare_collapses, limit })
     }
 }

@@ -1,0 +1,53 @@
+//! What arrived and is not applied yet, in order.
+
+use std::collections::VecDeque;
+
+use lodestream_protocol::message::{Batch, Settled};
+
+/// Most messages that wait, whatever their size: a batch without ops still takes memory.
+const MAX_ITEMS: usize = 4096;
+
+/// One message that concerns the mesh.
+#[derive(Debug)]
+pub(super) enum Item {
+    Batch(Batch),
+    Settled(Settled),
+    Restart,
+}
+
+/// A queue that is bounded by its reader: see [`Inbox::has_room`].
+#[derive(Debug, Default)]
+pub(super) struct Inbox {
+    items: VecDeque<Item>,
+    /// Bytes of ops in `items`.
+    bytes: usize,
+}
+
+impl Inbox {
+    pub(super) fn push(&mut self, item: Item) {
+        self.bytes += op_bytes(&item);
+        self.items.push_back(item);
+    }
+
+    pub(super) fn pop(&mut self) -> Option<Item> {
+        let item = self.items.pop_front()?;
+        self.bytes -= op_bytes(&item);
+        Some(item)
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.items.is_empty()
+    }
+
+    /// Whether another item may be pushed, with `limit` in bytes of ops.
+    pub(super) fn has_room(&self, limit: usize) -> bool {
+        self.items.len() < MAX_ITEMS && self.bytes < limit.max(1)
+    }
+}
+
+fn op_bytes(item: &Item) -> usize {
+    match item {
+        Item::Batch(batch) => batch.ops.len(),
+        Item::Settled(_) | Item::Restart => 0,
+    }
+}

@@ -1,0 +1,436 @@
+//! The client's half of a session, without I/O: frames go in, frames come out, time is an argument.
+//!
+//! A [`ClientSession`] holds the replica of one model over one connection. It decides nothing about refinement: it says
+//! what it looks at, applies what comes, and checks after every batch that both ends still hold the same mesh. It knows
+//! nothing of sockets, clocks or the GPU, and runs in the browser as it is.
+//!
+//! A driver calls, in this order: [`handle_frame`](ClientSession::handle_frame) for what arrived (while
+//! [`has_room`](ClientSession::has_room)), [`apply_ready`](ClientSession::apply_ready) if the session was told not to
+//! apply on arrival, [`poll_transmit`](ClientSession::poll_transmit) until it returns `None`, then it sleeps until
+//! something arrives or [`poll_timeout`](ClientSession::poll_timeout). Methods that change the session take the time;
+//! accessors do not.
+
+mod inbox;
+mod stats;
+
+use std::time::Duration;
+
+use lodestream_protocol::ids::{BatchSeq, ViewSeq};
+use lodestream_protocol::limits::{MAX_CACHE_ENTRIES, MAX_TEXT_BYTES};
+use lodestream_protocol::mesh::{Patch, PatchError, Replica};
+use lodestream_protocol::message::{Batch, ClientMessage, Hello, ModelInfo, PROTOCOL_VERSION, ServerMessage, Settled};
+use lodestream_protocol::op::{OpState, PatchDecodeError, decode_base, decode_batch};
+use lodestream_protocol::time::Timestamp;
+use lodestream_protocol::view::{View, ViewError};
+use lodestream_protocol::wire::{self, WireError};
+
+use inbox::{Inbox, Item};
+pub use stats::{FIRST_IMAGE_TRIANGLES, Stats};
+
+/// Resets after which the session gives up, unless enough batches went well in between.
+const MAX_RESETS: u32 = 4;
+/// Batches in a row that must go well before earlier resets are forgiven.
+const FORGIVING_BATCHES: u32 = 64;
+
+/// How a session behaves. All queues are bounded by what stands here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ClientConfig {
+    /// Triangle limit that the views will have; the server sizes the default op cache by it.
+    pub triangle_limit: u32,
+    /// Entries of the mirrored op cache to ask for; `None` takes the server's default.
+    pub cache_entries: Option<u32>,
+    /// Most bytes per second that the server may send; `None` sets no cap.
+    pub byte_rate: Option<u32>,
+    /// Least time between two views sent.
+    pub view_interval: Duration,
+    /// Whether batches are applied inside [`ClientSession::handle_frame`]. If not, they wait in the inbox for
+    /// [`ClientSession::apply_ready`].
+    pub apply_on_arrival: bool,
+    /// Bytes of ops in the inbox from which on [`ClientSession::has_room`] is false. A frame that arrives below the mark
+    /// is taken whole.
+    pub inbox_bytes: usize,
+}
+
+impl Default for ClientConfig {
+    fn default() -> Self {
+        Self {
+            triangle_limit: 1_000_000,
+            cache_entries: None,
+            byte_rate: None,
+            view_interval: Duration::from_millis(33),
+            apply_on_arrival: true,
+            inbox_bytes: 4 << 20,
+        }
+    }
+}
+
+/// Why a session cannot go on. Except for [`InboxFull`](Self::InboxFull) the server is at fault: close with
+/// [`CloseCode::Malformed`](lodestream_protocol::message::CloseCode::Malformed).
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ClientError {
+    /// A frame that is no message.
+    #[error("the server sent a bad frame")]
+    Wire(#[from] WireError),
+    /// A message that may not come now.
+    #[error("the server sent {0} out of turn")]
+    OutOfTurn(&'static str),
+    /// The welcome describes a model that cannot be.
+    #[error("the server described the model with a bad {0}")]
+    BadModel(&'static str),
+    /// The base mesh does not decode.
+    #[error("the server sent a bad base mesh")]
+    BadBase(#[from] PatchDecodeError),
+    /// The base mesh is no manifold.
+    #[error("the server sent a broken base mesh")]
+    BrokenBase(#[from] PatchError),
+    /// Both ends disagreed again and again.
+    #[error("client and server disagreed about the mesh {resets} times")]
+    Disagreement {
+        /// Resets so far.
+        resets: u32,
+    },
+    /// The driver went on although [`ClientSession::has_room`] was false.
+    #[error("the inbox is full")]
+    InboxFull,
+}
+
+/// What the welcome brought.
+#[derive(Debug)]
+struct Model {
+    info: ModelInfo,
+    base: Patch,
+    cache_entries: u32,
+    state: OpState,
+}
+
+#[derive(Debug)]
+struct CurrentView {
+    seq: ViewSeq,
+    view: View,
+    set_at: Timestamp,
+    is_sent: bool,
+}
+
+/// One session over one connection. See the module.
+#[derive(Debug)]
+pub struct ClientSession {
+    config: ClientConfig,
+    is_hello_sent: bool,
+    current: Option<CurrentView>,
+    view_sent_at: Option<Timestamp>,
+    model: Option<Model>,
+    inbox: Inbox,
+    /// Newest batch applied since the base.
+    applied: BatchSeq,
+    ack_due: Option<BatchSeq>,
+    reset_due: Option<BatchSeq>,
+    /// Set from a disagreement until the server's restart; ops mean nothing then.
+    awaits_restart: bool,
+    batches_since_reset: u32,
+    resets_in_a_row: u32,
+    generation: u32,
+    settled: Option<Settled>,
+    stats: Stats,
+}
+
+impl ClientSession {
+    /// A session that has said nothing yet.
+    pub fn new(config: ClientConfig) -> Self {
+        Self {
+            config,
+            is_hello_sent: false,
+            current: None,
+            view_sent_at: None,
+            model: None,
+            inbox: Inbox::default(),
+            applied: BatchSeq(0),
+            ack_due: None,
+            reset_due: None,
+            awaits_restart: false,
+            batches_since_reset: 0,
+            resets_in_a_row: 0,
+            generation: 0,
+            settled: None,
+            stats: Stats::default(),
+        }
+    }
+
+    /// Asks for `view` from now on and returns its number. Only the newest view is kept; a view equal to it changes
+    /// nothing. The first goes out right after the hello, later ones at most every [`ClientConfig::view_interval`].
+    ///
+    /// # Errors
+    /// [`ViewError`] if the view makes no sense; the one before it stays.
+    pub fn set_view(&mut self, now: Timestamp, view: View) -> Result<ViewSeq, ViewError> {
+        view.validate()?;
+        let seq = match &self.current {
+            Some(current) if current.view == view => return Ok(current.seq),
+            Some(current) => ViewSeq(current.seq.0.wrapping_add(1)),
+            None => ViewSeq(1),
+        };
+        self.current = Some(CurrentView { seq, view, set_at: now, is_sent: false });
+        self.unsettle();
+        self.stats.view_latency_ms = None;
+        Ok(seq)
+    }
+
+    /// Takes a frame from the server.
+    ///
+    /// # Errors
+    /// [`ClientError`]; the session is over then. A batch that does not fit the mesh is no error: the session asks the
+    /// server to begin again and counts it in [`Stats::resets`].
+    pub fn handle_frame(&mut self, now: Timestamp, frame: &[u8]) -> Result<(), ClientError> {
+        if !self.has_room() {
+            return Err(ClientError::InboxFull);
+        }
+        let message = wire::decode_server(frame)?;
+        self.stats.frames += 1;
+        match message {
+            ServerMessage::Welcome { .. } if self.model.is_some() => return Err(ClientError::OutOfTurn("a welcome")),
+            ServerMessage::Welcome { model, cache_entries, base } => self.begin(now, model, cache_entries, &base)?,
+            _ if self.model.is_none() => return Err(ClientError::OutOfTurn("something before its welcome")),
+            ServerMessage::Batch(batch) => self.inbox.push(Item::Batch(batch)),
+            ServerMessage::Settled(settled) => self.inbox.push(Item::Settled(settled)),
+            ServerMessage::Restart => self.inbox.push(Item::Restart),
+        }
+        if self.config.apply_on_arrival {
+            self.apply_ready(now, u32::MAX)?;
+        }
+        Ok(())
+    }
+
+    /// Applies what waits in the inbox, in order, until `max_ops` ops are done, and returns how many were. A batch is
+    /// applied whole, so one call may overshoot by a batch; `max_ops` of at least 1 makes progress.
+    ///
+    /// # Errors
+    /// [`ClientError`]; the session is over then.
+    pub fn apply_ready(&mut self, now: Timestamp, max_ops: u32) -> Result<u32, ClientError> {
+        let mut ops = 0u32;
+        while ops < max_ops
+            && let Some(item) = self.inbox.pop()
+        {
+            match item {
+                Item::Restart => self.restart(now)?,
+                Item::Batch(_) if self.awaits_restart => self.stats.dropped_batches += 1,
+                Item::Settled(_) if self.awaits_restart => {}
+                Item::Batch(batch) => ops = ops.saturating_add(self.apply(now, &batch)?),
+                Item::Settled(settled) => self.settle(now, settled)?,
+            }
+        }
+        Ok(ops)
+    }
+
+    /// Whether [`handle_frame`](Self::handle_frame) takes another frame. A driver stops reading while it does not.
+    pub fn has_room(&self) -> bool {
+        self.inbox.has_room(self.config.inbox_bytes)
+    }
+
+    /// Whether something waits for [`apply_ready`](Self::apply_ready).
+    pub fn has_ready(&self) -> bool {
+        !self.inbox.is_empty()
+    }
+
+    /// The next frame to send, or `None` if there is nothing to say yet.
+    pub fn poll_transmit(&mut self, now: Timestamp) -> Option<Vec<u8>> {
+        self.next_message(now).map(|message| wire::encode_client(&message))
+    }
+
+    fn next_message(&mut self, now: Timestamp) -> Option<ClientMessage> {
+        if !self.is_hello_sent {
+            self.is_hello_sent = true;
+            let ClientConfig { triangle_limit, cache_entries, byte_rate, .. } = self.config;
+            let cache_entries = cache_entries.map(|entries| entries.min(MAX_CACHE_ENTRIES));
+            let hello = Hello { version: PROTOCOL_VERSION, triangle_limit, cache_entries, byte_rate };
+            return Some(ClientMessage::Hello(hello));
+        }
+        if let Some(seq) = self.ack_due.take() {
+            return Some(ClientMessage::Ack { seq });
+        }
+        if let Some(seq) = self.reset_due.take() {
+            return Some(ClientMessage::Reset { seq });
+        }
+        let is_due = self.poll_timeout().is_some_and(|at| at <= now);
+        let current = self.current.as_mut().filter(|current| is_due && !current.is_sent)?;
+        current.is_sent = true;
+        self.view_sent_at = Some(now);
+        self.stats.views += 1;
+        Some(ClientMessage::View { seq: current.seq, view: current.view.clone() })
+    }
+
+    /// When [`poll_transmit`](Self::poll_transmit) should be asked again although nothing arrived: the moment at which a
+    /// newer view may be sent.
+    pub fn poll_timeout(&self) -> Option<Timestamp> {
+        let current = self.current.as_ref().filter(|current| !current.is_sent)?;
+        Some(self.view_sent_at.map_or(current.set_at, |at| at + self.config.view_interval))
+    }
+
+    /// Tells the session what went through the socket so far, in bytes. Call it before the frame that those bytes brought.
+    pub fn note_traffic(&mut self, bytes_received: u64, bytes_sent: u64) {
+        self.stats.bytes_received = bytes_received;
+        self.stats.bytes_sent = bytes_sent;
+    }
+
+    /// The mesh, once the server has sent the base.
+    pub fn replica(&self) -> Option<&Replica> {
+        self.model.as_ref().map(|model| model.state.replica())
+    }
+
+    /// The mesh, for dirty tracking.
+    pub fn replica_mut(&mut self) -> Option<&mut Replica> {
+        self.model.as_mut().map(|model| model.state.replica_mut())
+    }
+
+    /// Counts the bases: 0 before the welcome, then one more with each restart. When it changes, the replica is a new one
+    /// and whoever holds a copy must begin again; dirty tracking goes on if it was on, with all of the base touched.
+    pub fn generation(&self) -> u32 {
+        self.generation
+    }
+
+    /// What the server says about the model.
+    pub fn model(&self) -> Option<&ModelInfo> {
+        self.model.as_ref().map(|model| &model.info)
+    }
+
+    /// Entries of the mirrored op cache that the server granted.
+    pub fn cache_entries(&self) -> Option<u32> {
+        self.model.as_ref().map(|model| model.cache_entries)
+    }
+
+    /// The newest view and its number.
+    pub fn view(&self) -> Option<(ViewSeq, &View)> {
+        self.current.as_ref().map(|current| (current.seq, &current.view))
+    }
+
+    /// The server's word that the mesh is exactly what the newest view asks for; `None` until then.
+    pub fn settled(&self) -> Option<Settled> {
+        self.settled
+    }
+
+    /// What happened so far.
+    pub fn stats(&self) -> &Stats {
+        &self.stats
+    }
+
+    fn begin(&mut self, now: Timestamp, info: ModelInfo, cache_entries: u32, base: &[u8]) -> Result<(), ClientError> {
+        check_model(&info)?;
+        if cache_entries > MAX_CACHE_ENTRIES {
+            return Err(ClientError::BadModel("cache size"));
+        }
+        let base = decode_base(base, info.lattice.bits, info.has_colors)?;
+        let state = OpState::new(&base, info.lattice.bits, info.has_colors, info.has_moves, cache_entries)?;
+        self.model = Some(Model { info, base, cache_entries, state });
+        self.generation = self.generation.wrapping_add(1);
+        self.note_mesh(now);
+        Ok(())
+    }
+
+    fn restart(&mut self, now: Timestamp) -> Result<(), ClientError> {
+        let Model { info, base, cache_entries, state } = self.model.as_mut().expect("the inbox opens with the welcome");
+        let is_tracked = state.replica_mut().dirty_mut().is_some();
+        *state = OpState::new(base, info.lattice.bits, info.has_colors, info.has_moves, *cache_entries)?;
+        if is_tracked {
+            state.replica_mut().track_dirty();
+        }
+        self.generation = self.generation.wrapping_add(1);
+        self.awaits_restart = false;
+        self.applied = BatchSeq(0);
+        self.batches_since_reset = 0;
+        // Batches before the restart are of no interest any more, and their numbers come again.
+        self.ack_due = None;
+        self.unsettle();
+        self.note_mesh(now);
+        Ok(())
+    }
+
+    fn apply(&mut self, now: Timestamp, batch: &Batch) -> Result<u32, ClientError> {
+        let next = BatchSeq(self.applied.0.wrapping_add(1));
+        let state = &mut self.model.as_mut().expect("the inbox opens with the welcome").state;
+        if batch.seq != next {
+            return self.disagree(batch.seq);
+        }
+        let result = decode_batch(&batch.ops, state, batch.limit);
+        let digest = state.replica().digest() as u32;
+        let counts = match result {
+            Ok(counts) if digest == batch.digest => counts,
+            _ => {
+                self.note_mesh(now);
+                return self.disagree(batch.seq);
+            }
+        };
+        self.applied = batch.seq;
+        self.ack_due = Some(batch.seq);
+        self.batches_since_reset = self.batches_since_reset.saturating_add(1);
+        if self.batches_since_reset >= FORGIVING_BATCHES {
+            self.resets_in_a_row = 0;
+        }
+        self.stats.count(&counts);
+        // Ops after a settled state are on the way to another one, whichever view they were chosen for.
+        self.unsettle();
+        self.stats.error_px = Some(batch.lambda_px);
+        if let Some(current) = &self.current
+            && current.seq == batch.view
+            && self.stats.view_latency_ms.is_none()
+        {
+            self.stats.view_latency_ms = Some(now.since(current.set_at).as_secs_f64() * 1e3);
+        }
+        self.note_mesh(now);
+        Ok(counts.total())
+    }
+
+    fn settle(&mut self, now: Timestamp, settled: Settled) -> Result<(), ClientError> {
+        if settled.seq != self.applied {
+            self.disagree(settled.seq)?;
+            return Ok(());
+        }
+        if self.current.as_ref().is_none_or(|current| current.seq != settled.view) {
+            return Ok(());
+        }
+        self.settled = Some(settled);
+        self.stats.settled = true;
+        self.stats.limited = settled.limited;
+        self.stats.error_px = Some(settled.error_px);
+        self.stats.settled_ms = Some(stats::millis(now));
+        self.note_mesh(now);
+        Ok(())
+    }
+
+    /// The two ends hold different meshes: everything until the server's restart is of no use.
+    fn disagree(&mut self, seq: BatchSeq) -> Result<u32, ClientError> {
+        self.stats.resets += 1;
+        self.resets_in_a_row += 1;
+        if self.resets_in_a_row > MAX_RESETS {
+            return Err(ClientError::Disagreement { resets: self.stats.resets });
+        }
+        self.awaits_restart = true;
+        self.reset_due = Some(seq);
+        self.unsettle();
+        Ok(0)
+    }
+
+    fn unsettle(&mut self) {
+        self.settled = None;
+        self.stats.settled = false;
+        self.stats.limited = false;
+        self.stats.settled_ms = None;
+    }
+
+    fn note_mesh(&mut self, now: Timestamp) {
+        let Some(model) = &self.model else { return };
+        let replica = model.state.replica();
+        self.stats.note_mesh(now, replica.vertex_count(), replica.triangle_count());
+    }
+}
+
+/// Checks every number that the client computes with.
+fn check_model(info: &ModelInfo) -> Result<(), ClientError> {
+    let check = |ok: bool, field| if ok { Ok(()) } else { Err(ClientError::BadModel(field)) };
+    check(info.lattice.is_valid(), "lattice")?;
+    let max = info.lattice.max_coordinate();
+    let fits = |k: usize| 0 <= info.box_min[k] && info.box_min[k] <= info.box_max[k] && info.box_max[k] <= max;
+    check((0..3).all(fits), "box")?;
+    check(info.title.len() <= MAX_TEXT_BYTES, "title")?;
+    check(info.crease_angle_deg.is_finite(), "crease angle")
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,118 @@
+//! Dirty slots of a replica to an upload plan, as plain data: what grows, then which slots are written.
+//!
+//! Slot number = element number in the buffers, so there is no remap table and a plan is three lists of intervals. Nothing
+//! here knows the GPU; [`super::buffers`] executes plans.
+
+use std::ops::Range;
+
+use bytemuck::{Pod, Zeroable};
+use lodestream_protocol::mesh::Replica;
+
+/// Intervals with fewer untouched slots than this between them are written as one: a copy of 64 vertices costs less than
+/// another copy command.
+pub const MERGED_GAP_SLOTS: u32 = 64;
+
+/// Smallest capacity, so that the first few ops do not grow the buffers one after the other.
+const SMALLEST_CAPACITY_SLOTS: u32 = 1024;
+
+/// One element of the vertex buffer.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct GpuVertex {
+    /// Lattice coordinates. They have at most 21 bits, so `f32` holds them exactly.
+    pub position: [f32; 3],
+    /// Red in the lowest byte, then green, blue and 255.
+    pub color: u32,
+}
+
+/// Bytes of a vertex slot in the vertex buffer.
+pub const VERTEX_BYTES: u64 = size_of::<GpuVertex>() as u64;
+/// Bytes of a vertex slot in the index buffer: the corners of face slots `2v` and `2v + 1`.
+pub const FACE_PAIR_BYTES: u64 = 24;
+
+/// What to do before the buffers equal the replica again, in this order: grow, write.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct UploadPlan {
+    /// New capacity in slots; what the buffers hold is kept.
+    pub grow_to: Option<u32>,
+    /// One past the last slot to draw.
+    pub slot_end: u32,
+    /// Vertex slots to write, ascending and disjoint.
+    pub vertices: Vec<Range<u32>>,
+    /// Vertex slots whose two face slots to write, ascending and disjoint.
+    pub face_pairs: Vec<Range<u32>>,
+}
+
+impl UploadPlan {
+    /// Whether nothing is written.
+    pub fn is_empty(&self) -> bool {
+        self.vertices.is_empty() && self.face_pairs.is_empty()
+    }
+
+    /// Bytes that the plan writes.
+    pub fn bytes(&self) -> u64 {
+        let slots = |ranges: &[Range<u32>]| ranges.iter().map(|r| u64::from(r.end - r.start)).sum::<u64>();
+        slots(&self.vertices) * VERTEX_BYTES + slots(&self.face_pairs) * FACE_PAIR_BYTES
+    }
+}
+
+/// Plans the upload of everything that `replica` recorded as touched, and clears the record. A replica that does not
+/// [track](Replica::track_dirty) starts to, and is uploaded whole.
+///
+/// `capacity_slots` is what the buffers hold now. Costs O(d log d) in the touched slots.
+pub fn plan(replica: &mut Replica, capacity_slots: u32) -> UploadPlan {
+    if replica.dirty_mut().is_none() {
+        replica.track_dirty();
+    }
+    let slot_end = replica.slot_end();
+    let dirty = replica.dirty_mut().expect("tracking is on");
+    let gap = MERGED_GAP_SLOTS - 1;
+    let vertices = dirty.vertex_ranges(gap);
+    let faces = dirty.face_ranges(2 * gap);
+    dirty.clear();
+    // A slot that is taken anew may have only one face. The other face slot has not changed for the replica, but buffers
+    // that held another replica before do not know that, so faces go in pairs and along with their vertex.
+    let pairs = faces.into_iter().map(|r| r.start / 2..r.end.div_ceil(2)).chain(vertices.iter().cloned());
+    UploadPlan {
+        grow_to: (slot_end > capacity_slots).then(|| grown(capacity_slots, slot_end)),
+        slot_end,
+        face_pairs: merge(pairs.collect(), gap),
+        vertices,
+    }
+}
+
+/// `capacity` doubled until it holds `slots`.
+fn grown(capacity: u32, slots: u32) -> u32 {
+    let mut grown = capacity.max(SMALLEST_CAPACITY_SLOTS);
+    while grown < slots {
+        grown = grown.saturating_mul(2);
+    }
+    grown
+}
+
+fn merge(mut ranges: Vec<Range<u32>>, gap: u32) -> Vec<Range<u32>> {
+    ranges.sort_unstable_by_key(|r| r.start);
+    let mut merged: Vec<Range<u32>> = Vec::with_capacity(ranges.len());
+    for range in ranges {
+        match merged.last_mut() {
+            Some(last) if range.start <= last.end.saturating_add(gap) => last.end = last.end.max(range.end),
+            _ => merged.push(range),
+        }
+    }
+    merged
+}
+
+/// The elements of the vertex buffer for these slots.
+pub fn gpu_vertices(replica: &Replica, slots: Range<u32>) -> impl Iterator<Item = GpuVertex> + '_ {
+    let slots = slots.start as usize..slots.end as usize;
+    replica.positions()[slots.clone()].iter().zip(&replica.colors()[slots]).map(|(position, &[r, g, b])| GpuVertex {
+        position: position.map(|x| x as f32),
+        color: u32::from_le_bytes([r, g, b, 255]),
+    })
+}
+
+/// The elements of the index buffer for these slots: `len == 6 * slots.len()` once flattened. A face slot without a face
+/// holds `[0, 0, 0]`, which draws nothing.
+pub fn gpu_faces(replica: &Replica, slots: Range<u32>) -> &[[u32; 3]] {
+    &replica.corners()[2 * slots.start as usize..2 * slots.end as usize]
+}

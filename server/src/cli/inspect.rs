@@ -1,0 +1,37 @@
+//! `inspect`: what a model is made of.
+
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+
+use super::model_id;
+use crate::repository::Repository;
+
+/// Say what a model is made of.
+#[derive(Clone, Debug, clap::Args)]
+pub struct InspectArgs {
+    /// The model's id.
+    pub model: String,
+    /// Directory that holds the models.
+    #[arg(long, value_name = "DIR")]
+    pub repository: PathBuf,
+    /// Print one JSON object.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Prints what the model is made of.
+///
+/// # Errors
+/// A model that cannot be used.
+pub fn run(args: InspectArgs) -> anyhow::Result<()> {
+    let id = model_id(&args.model)?;
+    let model = Repository::open(&args.repository)?.get(&id)?;
+    let found = crate::pack::inspect(&model).with_context(|| format!("model {id}"))?;
+    if args.json {
+        println!("{}", serde_json::to_string(&found)?)
+    } else {
+        print!("{found}")
+    }
+    Ok(())
+}

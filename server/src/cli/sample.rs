@@ -1,0 +1,43 @@
+//! `sample`: a generated scan of any size.
+
+use std::path::PathBuf;
+
+use super::UsageError;
+use super::export::{ply_path, write_mesh};
+use crate::ingest::sample::{MAX_TRIANGLES, MIN_TRIANGLES, generate};
+
+/// Write a generated scan of any size.
+#[derive(Clone, Debug, clap::Args)]
+pub struct SampleArgs {
+    /// Triangles of the scan, about.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub triangles: u64,
+    /// Another seed gives another scan.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+    /// The file to write, in the format PLY.
+    #[arg(value_name = "FILE", value_parser = ply_path)]
+    pub output: PathBuf,
+}
+
+/// Generates and writes the scan.
+///
+/// # Errors
+/// A number of triangles out of range, or a file that cannot be written.
+pub fn run(args: SampleArgs) -> anyhow::Result<()> {
+    let mesh = generate(sample_size(args.triangles)?, args.seed);
+    write_mesh(&mesh, &args.output)?;
+    println!("{}: {} vertices, {} triangles", args.output.display(), mesh.positions.len(), mesh.faces.len());
+    Ok(())
+}
+
+/// A number of triangles that the generator can make.
+///
+/// # Errors
+/// States the range.
+pub(super) fn sample_size(triangles: u64) -> Result<usize, UsageError> {
+    let range = MIN_TRIANGLES..=MAX_TRIANGLES;
+    usize::try_from(triangles).ok().filter(|n| range.contains(n)).ok_or_else(|| {
+        UsageError(format!("a sample has {MIN_TRIANGLES} to {MAX_TRIANGLES} triangles, not {triangles}"))
+    })
+}

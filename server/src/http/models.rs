@@ -1,0 +1,119 @@
+//! Which models there are and how a session on one is opened.
+
+use serde::Serialize;
+
+use crate::repository::{ModelState, Repository, RepositoryError};
+use crate::runtime::Core;
+use crate::session::{Session, SessionConfig};
+
+/// One line of the list of models.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct ModelEntry {
+    /// Name in addresses.
+    pub id: String,
+    /// Name for people, may be empty.
+    pub title: String,
+    /// Triangles of the complete mesh.
+    pub triangles: u64,
+    /// Vertices of the complete mesh.
+    pub vertices: u64,
+    /// Bytes of the pack.
+    pub bytes: u64,
+    /// Whether it can be streamed.
+    pub status: ModelStatus,
+}
+
+/// Whether a model can be streamed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ModelStatus {
+    /// It can.
+    Ready,
+    /// Its file is damaged.
+    Quarantined,
+}
+
+/// Why a model gives no session.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum OpenError {
+    /// There is no such model.
+    #[error("there is no model `{0}`")]
+    Unknown(String),
+    /// It exists but cannot be used.
+    #[error("the model `{id}` cannot be used: {reason}")]
+    Unusable {
+        /// The model.
+        id: String,
+        /// Why.
+        reason: String,
+    },
+}
+
+/// What the server serves: [`RepositoryModels`], or a stand-in that a test controls.
+pub trait Models: Send + Sync + 'static {
+    /// All models by id, ascending. Cheap: a snapshot held in memory.
+    fn list(&self) -> Vec<ModelEntry>;
+
+    /// Starts a session on a model. May read from disk, so it is called where blocking is allowed.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    fn open(&self, id: &str) -> Result<Box<dyn Core>, OpenError>;
+}
+
+/// The models of a repository.
+#[derive(Debug)]
+pub struct RepositoryModels {
+    repository: Repository,
+    session: SessionConfig,
+}
+
+impl RepositoryModels {
+    /// Serves all of `repository` with sessions configured by `session`.
+    pub fn new(repository: Repository, session: SessionConfig) -> Self {
+        Self { repository, session }
+    }
+}
+
+impl Models for RepositoryModels {
+    fn list(&self) -> Vec<ModelEntry> {
+        let entries = match self.repository.list() {
+            Ok(entries) => entries,
+            Err(error) => {
+                tracing::error!(%error, "the repository cannot be read");
+                return Vec::new();
+            }
+        };
+        let entry = |entry: crate::repository::ModelEntry| {
+            let id = entry.id.to_string();
+            match &entry.state {
+                ModelState::Ready(model) => ModelEntry {
+                    id,
+                    title: model.info().title.clone(),
+                    triangles: model.info().triangles,
+                    vertices: model.info().vertices,
+                    bytes: model.file_bytes(),
+                    status: ModelStatus::Ready,
+                },
+                ModelState::Damaged(_) => ModelEntry {
+                    id,
+                    title: String::new(),
+                    triangles: 0,
+                    vertices: 0,
+                    bytes: std::fs::metadata(&entry.path).map_or(0, |file| file.len()),
+                    status: ModelStatus::Quarantined,
+                },
+            }
+        };
+        entries.into_iter().map(entry).collect()
+    }
+
+    fn open(&self, id: &str) -> Result<Box<dyn Core>, OpenError> {
+        let unknown = || OpenError::Unknown(id.into());
+        let model = self.repository.get(&id.parse().map_err(|_| unknown())?).map_err(|error| match error {
+            RepositoryError::NotFound(_) => unknown(),
+            other => OpenError::Unusable { id: id.into(), reason: other.to_string() },
+        })?;
+        Ok(Box::new(Session::new(model, self.session)))
+    }
+}

@@ -1,0 +1,303 @@
+//! How far the surface strays from the complete one, measured at samples that travel with the surviving vertices.
+//!
+//! Every vertex carries up to [`MAX_SAMPLES`] original vertices of its forest subtree. After a collapse those of both ends are
+//! measured against the new star of `s`. (One-sided Hausdorff distance to the star, ALGORITHMS section 5: the fixed factor in
+//! the error makes up for the samples that were dropped and for stars that look different in a selectively refined mesh.)
+
+use glam::DVec3;
+
+use super::{NONE, Point};
+
+/// Most samples that one vertex carries.
+const MAX_SAMPLES: usize = 16;
+
+/// The faces around a vertex, prepared for distances from many points.
+#[derive(Debug, Default)]
+pub(crate) struct Star {
+    center: DVec3,
+    color: [u8; 3],
+    spokes: Vec<Spoke>,
+    wedges: Vec<Wedge>,
+    is_closed: bool,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Spoke {
+    to: DVec3,
+    length_squared: f64,
+    inverse: f64,
+    color: [u8; 3],
+}
+
+/// The face between a spoke and the next one.
+#[derive(Clone, Copy, Debug)]
+struct Wedge {
+    normal: DVec3,
+    /// One over the squared length of `normal`, 0 for a face without area.
+    inverse: f64,
+    /// Dot product of the two spokes.
+    dot: f64,
+    /// From the end of this spoke to the end of the next, and one over its squared length.
+    rim: DVec3,
+    rim_inverse: f64,
+}
+
+fn inverse(x: f64) -> f64 {
+    if x > 0.0 { 1.0 / x } else { 0.0 }
+}
+
+/// A point of the star: squared distance from the sample, and where it lies, as weights of up to three vertices.
+#[derive(Clone, Copy)]
+struct Nearest {
+    distance_squared: f64,
+    first: usize,
+    second: usize,
+    weights: [f64; 2],
+}
+
+impl Star {
+    /// Takes over the star of `s` with the neighbours `ring`, counter-clockwise. Allocates only to grow.
+    pub(crate) fn reset(&mut self, s: &Point, ring: impl Iterator<Item = Point>, is_closed: bool) {
+        self.center = s.at();
+        self.color = s.color;
+        self.is_closed = is_closed;
+        self.spokes.clear();
+        self.wedges.clear();
+        let center = self.center;
+        self.spokes.extend(ring.map(|p| {
+            let to = p.at() - center;
+            let length_squared = to.length_squared();
+            Spoke { to, length_squared, inverse: inverse(length_squared), color: p.color }
+        }));
+        let faces = if is_closed { self.spokes.len() } else { self.spokes.len().saturating_sub(1) };
+        for j in 0..faces {
+            let (a, b) = (self.spokes[j].to, self.spokes[self.following(j)].to);
+            let (normal, rim) = (a.cross(b), b - a);
+            self.wedges.push(Wedge {
+                normal,
+                inverse: inverse(normal.length_squared()),
+                dot: a.dot(b),
+                rim,
+                rim_inverse: inverse(rim.length_squared()),
+            });
+        }
+    }
+
+    #[inline]
+    fn following(&self, j: usize) -> usize {
+        if j + 1 == self.spokes.len() { 0 } else { j + 1 }
+    }
+
+    /// Nearest point of the star to the one at `q` from its centre; stops early at one whose squared distance is at most
+    /// `enough`, since the caller then has no use for a nearer one. At a rim the distance may be over the true one, never
+    /// under it. O(valence).
+    #[inline]
+    fn nearest(&self, q: DVec3, enough: f64) -> Nearest {
+        let mut best = Nearest { distance_squared: q.length_squared(), first: 0, second: 0, weights: [0.0; 2] };
+        let Some(first) = self.spokes.first() else { return best };
+        if best.distance_squared <= enough {
+            return best;
+        }
+        let mut along = q.dot(first.to);
+        for (j, spoke) in self.spokes.iter().enumerate() {
+            let share = (along * spoke.inverse).clamp(0.0, 1.0);
+            let distance_squared = q.distance_squared(spoke.to * share);
+            if distance_squared < best.distance_squared {
+                best = Nearest { distance_squared, first: j, second: j, weights: [share, 0.0] };
+            }
+            let Some(wedge) = self.wedges.get(j) else { break };
+            let k = self.following(j);
+            let next = &self.spokes[k];
+            let along_next = q.dot(next.to);
+            // Barycentric weights of the two rim corners, times the squared normal.
+            let u = next.length_squared * along - wedge.dot * along_next;
+            let v = spoke.length_squared * along_next - wedge.dot * along;
+            let beyond = (u + v) * wedge.inverse > 1.0 || wedge.inverse == 0.0;
+            if beyond {
+                let share = ((q - spoke.to).dot(wedge.rim) * wedge.rim_inverse).clamp(0.0, 1.0);
+                let distance_squared = (q - spoke.to).distance_squared(wedge.rim * share);
+                if distance_squared < best.distance_squared {
+                    best = Nearest { distance_squared, first: j, second: k, weights: [1.0 - share, share] };
+                }
+            } else if u >= 0.0 && v >= 0.0 {
+                let height = q.dot(wedge.normal);
+                let distance_squared = height * height * wedge.inverse;
+                if distance_squared < best.distance_squared {
+                    let weights = [u * wedge.inverse, v * wedge.inverse];
+                    best = Nearest { distance_squared, first: j, second: k, weights };
+                }
+            }
+            if best.distance_squared <= enough {
+                return best;
+            }
+            along = along_next;
+        }
+        best
+    }
+
+    /// Squared distance to the border through the centre: the first and the last spoke of an open star.
+    fn border_distance_squared(&self, q: DVec3) -> f64 {
+        let ends = [self.spokes.first(), self.spokes.last()];
+        ends.into_iter().flatten().fold(q.length_squared(), |best, spoke| {
+            let share = (q.dot(spoke.to) * spoke.inverse).clamp(0.0, 1.0);
+            best.min(q.distance_squared(spoke.to * share))
+        })
+    }
+
+    /// Largest difference of a channel, as a share of full scale, between `color` and the star's interpolated one.
+    fn color_difference(&self, color: [u8; 3], at: &Nearest) -> f64 {
+        let [a, b] = [self.spokes.get(at.first), self.spokes.get(at.second)].map(|s| s.map_or(self.color, |s| s.color));
+        let rest = 1.0 - at.weights[0] - at.weights[1];
+        (0..3).fold(0.0, |worst: f64, k| {
+            let there =
+                f64::from(self.color[k]) * rest + f64::from(a[k]) * at.weights[0] + f64::from(b[k]) * at.weights[1];
+            worst.max((f64::from(color[k]) - there).abs() / 255.0)
+        })
+    }
+}
+
+/// What one collapse does to the samples of both its ends.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Deviation {
+    /// Largest distance of a sample to the new star, or 0 if none is over the one passed as enough; lattice steps.
+    pub(crate) distance: f64,
+    /// Largest colour difference of a sample, as a share of full scale, times the diameter of what the samples span.
+    pub(crate) color: f64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Candidate {
+    sample: Point,
+    octant: u8,
+    is_kept: bool,
+    score: f64,
+}
+
+/// The samples of all vertices.
+///
+/// They are copies, in blocks that collapses hand on: looking the originals up would miss the cache for nearly every one, and
+/// only vertices that something collapsed onto need a block.
+#[derive(Debug)]
+pub(crate) struct Samples {
+    blocks: Vec<Block>,
+    /// Blocks not in use; the last one freed is likely still in the cache.
+    free: Vec<u32>,
+    /// Block of each vertex, or [`NONE`].
+    block_of: Vec<u32>,
+    has_colors: bool,
+    candidates: Vec<Candidate>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Block {
+    count: u32,
+    samples: [Point; MAX_SAMPLES],
+}
+
+impl Samples {
+    pub(crate) fn new(vertex_count: usize, has_colors: bool) -> Self {
+        Self {
+            blocks: Vec::new(),
+            free: Vec::new(),
+            block_of: vec![NONE; vertex_count],
+            has_colors,
+            candidates: Vec::with_capacity(2 * MAX_SAMPLES + 1),
+        }
+    }
+
+    /// Hands `t` and its samples over to `s`, whose star after the collapse is `star`, and measures all of them. Distances up
+    /// to `enough` are not told apart.
+    pub(crate) fn merge(&mut self, points: &[Point], s: u32, t: u32, star: &Star, enough: f64) -> Deviation {
+        let mut candidates = std::mem::take(&mut self.candidates);
+        candidates.clear();
+        // With colours the nearest point itself matters, not just that there is one near enough.
+        let enough_squared = if self.has_colors { -1.0 } else { enough * enough };
+        let on_border = points[s as usize].is_boundary;
+        let (mut worst, mut worst_color, mut reach) = (0.0f64, 0.0f64, 0.0f64);
+        for point in self.of(t).iter().chain([&points[t as usize]]).chain(self.of(s)) {
+            let q = point.at() - star.center;
+            let nearest = star.nearest(q, enough_squared);
+            let mut score = nearest.distance_squared;
+            if on_border && point.is_boundary && !star.is_closed {
+                score = score.max(star.border_distance_squared(q));
+            }
+            worst = worst.max(score);
+            if self.has_colors {
+                let difference = star.color_difference(point.color, &nearest);
+                worst_color = worst_color.max(difference);
+                reach = reach.max(q.length_squared());
+                score = score.max(difference * difference * q.length_squared());
+            }
+            let octant = u8::from(q.x < 0.0) | u8::from(q.y < 0.0) << 1 | u8::from(q.z < 0.0) << 2;
+            candidates.push(Candidate { sample: *point, octant, is_kept: false, score });
+        }
+        if candidates.len() > MAX_SAMPLES {
+            keep_worst_and_spread(&mut candidates);
+        }
+        let kept = self.shared_block(s, t);
+        for (slot, candidate) in kept.samples.iter_mut().zip(&candidates) {
+            *slot = candidate.sample;
+        }
+        kept.count = candidates.len() as u32;
+        self.candidates = candidates;
+        let distance = worst.sqrt();
+        Deviation { distance: if distance > enough { distance } else { 0.0 }, color: worst_color * 2.0 * reach.sqrt() }
+    }
+
+    fn of(&self, v: u32) -> &[Point] {
+        match self.blocks.get(self.block_of[v as usize] as usize) {
+            Some(block) => &block.samples[..block.count as usize],
+            None => &[],
+        }
+    }
+
+    /// The block of `s`, be it its own, that of `t` or another; that of `t` is free otherwise.
+    fn shared_block(&mut self, s: u32, t: u32) -> &mut Block {
+        let of_t = std::mem::replace(&mut self.block_of[t as usize], NONE);
+        let slot = &mut self.block_of[s as usize];
+        if *slot == NONE {
+            *slot = if of_t != NONE { of_t } else { self.free.pop().unwrap_or(self.blocks.len() as u32) };
+        } else if of_t != NONE {
+            self.free.push(of_t);
+        }
+        let index = *slot as usize;
+        if index == self.blocks.len() {
+            let nowhere = Point { position: [0; 3], color: [0; 3], is_boundary: false };
+            self.blocks.push(Block { count: 0, samples: [nowhere; MAX_SAMPLES] });
+        }
+        &mut self.blocks[index]
+    }
+}
+
+/// Cuts `candidates` to [`MAX_SAMPLES`]: the two worst of each octant around the centre, then the rest in their order.
+fn keep_worst_and_spread(candidates: &mut Vec<Candidate>) {
+    let mut best = [[NONE; 2]; 8];
+    for i in 0..candidates.len() {
+        let candidate = candidates[i];
+        let pair = &mut best[usize::from(candidate.octant)];
+        let beats = |j: u32| j == NONE || candidate.score > candidates[j as usize].score;
+        if beats(pair[0]) {
+            *pair = [i as u32, pair[0]];
+        } else if beats(pair[1]) {
+            pair[1] = i as u32;
+        }
+    }
+    let mut kept = 0;
+    for i in best.into_iter().flatten().filter(|&i| i != NONE) {
+        candidates[i as usize].is_kept = true;
+        kept += 1;
+    }
+    let mut write = 0;
+    for i in 0..candidates.len() {
+        let candidate = candidates[i];
+        let fills = !candidate.is_kept && kept < MAX_SAMPLES;
+        if fills {
+            kept += 1;
+        }
+        if candidate.is_kept || fills {
+            candidates[write] = candidate;
+            write += 1;
+        }
+    }
+    candidates.truncate(write);
+}

@@ -1,0 +1,362 @@
+//! From collapses to the records of a [`Dag`]: final ids, tree parents, cut references, base and spawns.
+
+use lodestream_protocol::quant::Lattice;
+
+use super::{
+    Collapse, NONE, Point,
+    bounds::{Carried, Normals, Sphere, store},
+    components::Components,
+};
+use crate::pack::record::{Bounds, Cone, CutRef, Dag, Magnitude, NO_OP, Patch, SpawnRecord, SplitRecord};
+
+/// A finished simplification.
+#[derive(Debug)]
+pub(crate) struct Simplified<'a> {
+    pub(crate) lattice: Lattice,
+    pub(crate) has_colors: bool,
+    pub(crate) is_open: bool,
+    pub(crate) points: &'a [Point],
+    pub(crate) components: &'a Components,
+    /// Faces that are left: number in the complete mesh, ascending, and corners in their own order.
+    pub(crate) root_faces: &'a [(u32, [u32; 3])],
+    /// In the order of simplification.
+    pub(crate) collapses: &'a [Collapse],
+    /// Per vertex, as left by its last collapse.
+    pub(crate) carried: &'a [Carried],
+    /// Per face, the number of the collapse that removed it, or [`NONE`].
+    pub(crate) removed_by: &'a [u32],
+}
+
+/// Figures about a finished DAG.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Shape {
+    /// Ops on the longest chain of parents.
+    pub(crate) depth: u32,
+    /// Splits by number of distinct parents, 0 to 3.
+    pub(crate) parents: [u64; 4],
+    /// Components in the base.
+    pub(crate) base_components: usize,
+}
+
+/// Builds the records. O(n log n) in the collapses, for their final order.
+pub(crate) fn assemble(simplified: &Simplified) -> (Dag, Shape) {
+    let roots = Roots::new(simplified);
+    let tree = Tree::new(simplified);
+    let order = tree.order(simplified);
+    let spawn_count = roots.spawns.len() as u32;
+    let mut ids = vec![0u32; order.len()];
+    for (place, &op) in order.iter().enumerate() {
+        ids[op as usize] = spawn_count + place as u32;
+    }
+    let converter = Converter { simplified, roots: &roots, tree: &tree, ids: &ids };
+    let shape = converter.shape();
+    let splits = order.iter().map(|&op| converter.split(op)).collect();
+    let base = converter.patch(&roots.base);
+    let spawns =
+        roots.spawns.iter().map(|&(component, bounds)| SpawnRecord { bounds, patch: converter.patch(&[component]) });
+    let spawns = spawns.collect();
+    let Simplified { lattice, has_colors, is_open, .. } = *simplified;
+    (Dag { lattice, has_colors, is_open, base, spawns, splits }, shape)
+}
+
+/// Numbers of root vertices and faces, and who brings them.
+struct Roots {
+    base: Vec<u32>,
+    /// Component and bounds, by error descending, then by diagonal.
+    spawns: Vec<(u32, Bounds)>,
+    /// Spawn id of each component, or [`NONE`] for those of the base.
+    spawn_of: Vec<u32>,
+    /// Per component, indices into the root faces.
+    faces_of: Vec<Vec<u32>>,
+    /// Per vertex of the complete mesh, its root number.
+    vertex_numbers: Vec<u32>,
+    /// Per component, its root vertices in order.
+    vertices_of: Vec<Vec<u32>>,
+    /// Per face of the complete mesh, its root number.
+    face_numbers: Vec<u32>,
+}
+
+impl Roots {
+    fn new(simplified: &Simplified) -> Self {
+        let components = simplified.components;
+        let mut faces_of = vec![Vec::new(); components.count()];
+        let mut vertices_of = vec![Vec::new(); components.count()];
+        let mut vertex_numbers = vec![NONE; simplified.points.len()];
+        for (i, (_, corners)) in simplified.root_faces.iter().enumerate() {
+            let component = components.of_vertex[corners[0] as usize] as usize;
+            faces_of[component].push(i as u32);
+            for &v in corners {
+                if vertex_numbers[v as usize] == NONE {
+                    vertex_numbers[v as usize] = 0;
+                    vertices_of[component].push(v);
+                }
+            }
+        }
+        let triangles: Vec<usize> = faces_of.iter().map(Vec::len).collect();
+        let (base, spawned) = components.base_and_spawns(&triangles);
+        let mut spawns: Vec<(u32, Bounds)> = spawned
+            .into_iter()
+            .map(|component| {
+                (
+                    component,
+                    spawn_bounds(
+                        simplified,
+                        component,
+                        &faces_of[component as usize],
+                        &vertices_of[component as usize],
+                    ),
+                )
+            })
+            .collect();
+        spawns.sort_by_key(|&(_, bounds)| std::cmp::Reverse(bounds.error));
+        let mut spawn_of = vec![NONE; components.count()];
+        let mut face_numbers = vec![NONE; simplified.removed_by.len()];
+        let (mut vertex, mut face) = (0, 0);
+        for (spawn, component) in
+            base.iter().map(|&c| (NONE, c)).chain(spawns.iter().enumerate().map(|(i, &(c, _))| (i as u32, c)))
+        {
+            spawn_of[component as usize] = spawn;
+            for &v in &vertices_of[component as usize] {
+                vertex_numbers[v as usize] = vertex;
+                vertex += 1;
+            }
+            for &i in &faces_of[component as usize] {
+                face_numbers[simplified.root_faces[i as usize].0 as usize] = face;
+                face += 1;
+            }
+        }
+        Self { base, spawns, spawn_of, faces_of, vertex_numbers, vertices_of, face_numbers }
+    }
+}
+
+/// Bounds of a whole component. Its error is the diagonal of its box: without it, that much is missing.
+fn spawn_bounds(simplified: &Simplified, component: u32, faces: &[u32], vertices: &[u32]) -> Bounds {
+    let (low, high) = simplified.components.boxes[component as usize];
+    let center = (low + high) * 0.5;
+    let mut normals = Normals::Nothing;
+    for &i in faces {
+        let [a, b, c] = simplified.root_faces[i as usize].1.map(|v| simplified.points[v as usize].at());
+        normals.add((b - a).cross(c - a));
+    }
+    for &v in vertices {
+        normals = normals.union(simplified.carried[v as usize].normals);
+    }
+    let sphere = Sphere { center, radius: center.distance(high) };
+    let mut bounds = store(sphere, normals, low.distance(high), &[]);
+    for child in vertices.iter().filter_map(|&v| simplified.carried[v as usize].child()) {
+        bounds.radius = bounds.radius.max(Magnitude::encode_up(child.reach_from(bounds.center_f64())));
+        bounds.error = bounds.error.max(child.error);
+        bounds.cone = match (bounds.cone.wide(), child.cone.wide()) {
+            (Some(own), Some(part)) => Cone::cover_about(bounds.cone.axis, &[own, part]),
+            _ => Cone::ANY,
+        };
+    }
+    bounds
+}
+
+/// The vertex forest over the collapses.
+struct Tree {
+    /// Tree parent of each collapse, and whether its `s` is the parent's `s` (0) or `t` (1).
+    parents: Vec<(u32, u32)>,
+}
+
+impl Tree {
+    fn new(simplified: &Simplified) -> Self {
+        let mut parents = vec![(NONE, 0); simplified.collapses.len()];
+        for (op, collapse) in simplified.collapses.iter().enumerate() {
+            for (child, role) in [(collapse.next_of_s, 0), (collapse.first_of_t, 1)] {
+                if child != NONE {
+                    parents[child as usize] = (op as u32, role);
+                }
+            }
+        }
+        Self { parents }
+    }
+
+    /// The collapses in the order of their final ids: by error band descending, then by where the band's topmost ancestor
+    /// lies, then in the order of refinement. A parent precedes its children: it has no smaller error, and within a band both
+    /// have the same topmost ancestor.
+    fn order(&self, simplified: &Simplified) -> Vec<u32> {
+        let collapses = simplified.collapses;
+        let mut codes = vec![0u64; collapses.len()];
+        let mut keys = Vec::with_capacity(collapses.len());
+        for op in (0..collapses.len()).rev() {
+            let bounds = &collapses[op].bounds;
+            let band = error_band(bounds.error);
+            let parent = self.parents[op].0;
+            codes[op] = if parent != NONE && error_band(collapses[parent as usize].bounds.error) == band {
+                codes[parent as usize]
+            } else {
+                morton(bounds.center, simplified.lattice.max_coordinate())
+            };
+            keys.push((u8::MAX - band, codes[op], u32::MAX - op as u32));
+        }
+        keys.sort_unstable();
+        keys.into_iter().map(|(.., op)| u32::MAX - op).collect()
+    }
+}
+
+/// Errors within a factor of 4 of each other, by two steps of the exponent; 0 holds the errors of zero.
+fn error_band(error: Magnitude) -> u8 {
+    if error.0 == 0 { 0 } else { 1 + ((error.0 - 1) >> 12) as u8 }
+}
+
+/// Interleaved bits of a lattice point, 21 per axis; clamped to `0 ..= max`.
+pub(crate) fn morton(at: [i32; 3], max: i32) -> u64 {
+    let spread = |x: i32| {
+        let mut x = u64::from(x.clamp(0, max) as u32);
+        x = (x | x << 32) & 0x001f_0000_0000_ffff;
+        x = (x | x << 16) & 0x001f_0000_ff00_00ff;
+        x = (x | x << 8) & 0x100f_00f0_0f00_f00f;
+        x = (x | x << 4) & 0x10c3_0c30_c30c_30c3;
+        (x | x << 2) & 0x1249_2492_4924_9249
+    };
+    spread(at[0]) | spread(at[1]) << 1 | spread(at[2]) << 2
+}
+
+struct Converter<'a> {
+    simplified: &'a Simplified<'a>,
+    roots: &'a Roots,
+    tree: &'a Tree,
+    /// Final id of each collapse.
+    ids: &'a [u32],
+}
+
+impl Converter<'_> {
+    fn split(&self, op: u32) -> SplitRecord {
+        let collapse = &self.simplified.collapses[op as usize];
+        let point = &self.simplified.points[collapse.t as usize];
+        let id = |op: u32| if op == NONE { NO_OP } else { self.ids[op as usize] };
+        let (parent, role) = self.tree.parents[op as usize];
+        let (tree_parent, s) = if parent == NONE {
+            let component = self.simplified.components.of_vertex[collapse.s as usize];
+            (self.roots.spawn_of[component as usize], self.roots.vertex_numbers[collapse.s as usize])
+        } else {
+            (self.ids[parent as usize], role)
+        };
+        let [left, right] = cuts(collapse);
+        SplitRecord {
+            bounds: collapse.bounds,
+            tree_parent,
+            s,
+            left: self.cut_ref(left),
+            right: self.cut_ref(right),
+            next_of_s: id(collapse.next_of_s),
+            first_of_t: id(collapse.first_of_t),
+            position: point.position,
+            color: point.color,
+            s_move: [0; 3],
+            s_color_move: [0; 3],
+        }
+    }
+
+    /// The younger of the two faces beside a cut: the one that was removed first. Those that were never removed are oldest.
+    fn younger(&self, cut: Cut) -> Option<u32> {
+        let age = |h: u32| self.simplified.removed_by[h as usize / 3];
+        match cut {
+            [NONE, NONE] => None,
+            [h, NONE] | [NONE, h] => Some(h),
+            [a, b] => Some(if age(b) < age(a) { b } else { a }),
+        }
+    }
+
+    fn cut_ref(&self, cut: Cut) -> CutRef {
+        let Some(h) = self.younger(cut) else { return CutRef::None };
+        let (face, corner) = (h / 3, h % 3);
+        let op = self.simplified.removed_by[face as usize];
+        if op == NONE {
+            return CutRef::Root { face: self.roots.face_numbers[face as usize], edge: corner as u8 };
+        }
+        let owner = &self.simplified.collapses[op as usize];
+        let (side, first) =
+            if owner.left != NONE && owner.left / 3 == face { (0, owner.left) } else { (1, owner.right) };
+        // Stored corners start at `s` of `f_l` and at `t` of `f_r`, where `left` and `right` start.
+        CutRef::Split { op: self.ids[op as usize], side, edge: ((corner + 3 - first % 3) % 3) as u8 }
+    }
+
+    /// Depth and numbers of parents, in one walk from the coarse end.
+    fn shape(&self) -> Shape {
+        let mut shape = Shape { base_components: self.roots.base.len(), ..Shape::default() };
+        let mut depths = vec![0u32; self.simplified.collapses.len()];
+        for op in (0..depths.len()).rev() {
+            let collapse = &self.simplified.collapses[op];
+            let component = self.simplified.components.of_vertex[collapse.s as usize];
+            // `NONE - 1` stands for the component's spawn, which is no collapse.
+            let root = if self.roots.spawn_of[component as usize] == NONE { NONE } else { NONE - 1 };
+            let owner = |cut| {
+                self.younger(cut).map_or(NONE, |h| match self.simplified.removed_by[h as usize / 3] {
+                    NONE => root,
+                    op => op,
+                })
+            };
+            let tree = match self.tree.parents[op].0 {
+                NONE => root,
+                parent => parent,
+            };
+            let [left, right] = cuts(collapse).map(owner);
+            let parents = [tree, left, right];
+            let mut distinct = 0;
+            for (i, &parent) in parents.iter().enumerate() {
+                if parent == NONE {
+                    continue;
+                }
+                distinct += usize::from(!parents[..i].contains(&parent));
+                let above = depths.get(parent as usize).copied().unwrap_or(1);
+                depths[op] = depths[op].max(above);
+            }
+            depths[op] += 1;
+            shape.parents[distinct] += 1;
+            shape.depth = shape.depth.max(depths[op]);
+        }
+        shape
+    }
+
+    fn patch(&self, components: &[u32]) -> Patch {
+        let mut patch = Patch::default();
+        let first = components.iter().find_map(|&c| self.roots.vertices_of[c as usize].first());
+        let offset = first.map_or(0, |&v| self.roots.vertex_numbers[v as usize]);
+        for &component in components {
+            for &v in &self.roots.vertices_of[component as usize] {
+                let point = &self.simplified.points[v as usize];
+                patch.positions.push(point.position);
+                patch.colors.push(point.color);
+                let last = self.simplified.carried[v as usize].last;
+                patch.first_splits.push(if last == NONE { NO_OP } else { self.ids[last as usize] });
+            }
+            for &i in &self.roots.faces_of[component as usize] {
+                let corners = self.simplified.root_faces[i as usize].1;
+                patch.faces.push(corners.map(|v| self.roots.vertex_numbers[v as usize] - offset));
+            }
+        }
+        patch
+    }
+}
+
+/// The two half-edges beside a cut, on the side of `s` first.
+type Cut = [u32; 2];
+
+fn cuts(collapse: &Collapse) -> [Cut; 2] {
+    let [fn0, fn1, fn2, fn3] = collapse.outer;
+    [[fn0, fn1], [fn3, fn2]]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn morton_interleaves_and_clamps() {
+        assert_eq!(morton([1, 0, 0], 7), 1);
+        assert_eq!(morton([0, 1, 3], 7), 0b100_110);
+        assert_eq!(morton([-5, 99, 0], 7), morton([0, 7, 0], 7));
+        assert_eq!(morton([0x1f_ffff; 3], 0x1f_ffff), (1 << 63) - 1);
+    }
+
+    #[test]
+    fn bands_hold_a_factor_of_four() {
+        let band = |x: f64| error_band(Magnitude::encode_up(x));
+        assert_eq!(band(0.0), 0);
+        assert!(band(1.0) > 0);
+        assert_eq!(band(4.1) + 1, band(16.5));
+    }
+}

@@ -1,0 +1,58 @@
+//! What a sequence of collapses becomes: deviations and visibility spheres, carried up with each surviving vertex while
+//! simplification runs, and afterwards the records of a vertex-split DAG.
+//!
+//! Knows points, collapses and root faces; how collapses are found and ordered is the business of
+//! [`simplify`](super::simplify), which calls this module and is never called by it. Start at [`forest`].
+
+pub(crate) mod bounds;
+pub(crate) mod components;
+pub(crate) mod deviation;
+pub(crate) mod forest;
+
+use glam::DVec3;
+
+use crate::pack::record::Bounds;
+
+/// No half-edge, no vertex, no op.
+pub(crate) const NONE: u32 = u32::MAX;
+
+/// A vertex on the lattice: 16 bytes, so that a look-up touches one cache line.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Point {
+    pub(crate) position: [i32; 3],
+    /// Zero for models without colours.
+    pub(crate) color: [u8; 3],
+    /// Whether the vertex lies on the boundary. No collapse ever changes that: holes stay, and a boundary vertex only goes
+    /// along the boundary.
+    pub(crate) is_boundary: bool,
+}
+
+impl Point {
+    /// Position in lattice steps. Coordinates have at most 21 bits, so a cross product of two differences is exact.
+    #[inline]
+    pub(crate) fn at(&self) -> DVec3 {
+        DVec3::new(f64::from(self.position[0]), f64::from(self.position[1]), f64::from(self.position[2]))
+    }
+}
+
+/// One collapse as simplification saw it. Its number is its place in the order of simplification, the reverse of the order of
+/// refinement. Half-edges are `3 * face + corner`, from that corner to the next, in the numbering of the complete mesh.
+#[derive(Clone, Debug)]
+pub(crate) struct Collapse {
+    /// The vertex that stays.
+    pub(crate) s: u32,
+    /// The vertex that goes.
+    pub(crate) t: u32,
+    /// Half-edge from `s` to `t`, in `f_l`; [`NONE`] if that face does not exist.
+    pub(crate) left: u32,
+    /// Half-edge from `t` to `s`, in `f_r`; [`NONE`] if that face does not exist.
+    pub(crate) right: u32,
+    /// Half-edges across the outer edges of the two faces, in `fn0 .. fn3`; [`NONE`] where there is none.
+    pub(crate) outer: [u32; 4],
+    /// The collapse before this one that kept `s`, which is the next split of `s` in refinement.
+    pub(crate) next_of_s: u32,
+    /// The last collapse that kept `t`, which is the first split of `t`.
+    pub(crate) first_of_t: u32,
+    /// Visibility sphere, as stored.
+    pub(crate) bounds: Bounds,
+}

@@ -1,0 +1,156 @@
+//! Which collapses are legal: topology (link condition) and geometry (flip test), and the stages in which the geometric part
+//! is relaxed once nothing else is left.
+
+use glam::DVec3;
+
+use super::{
+    quadric::{others, shape, sliver},
+    surface::{Site, Surface},
+};
+use crate::ingest::hierarchy::Point;
+
+/// What a stage of simplification asks of a collapse besides topology.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub(crate) struct Stage {
+    /// Largest sum of the valences of `s` and `t`.
+    pub(crate) max_valence_sum: u32,
+    /// Smallest cosine between a face's normals before and after, or `None` for no flip test.
+    pub(crate) min_cosine: Option<f64>,
+}
+
+/// The stages, in order; each runs until no collapse is left in it.
+///
+/// The first does the work. The others only make the base small: what they add has errors near the size of its component, so it
+/// is never looked at closely. First fans may grow, then folds are let through. Topology holds in all of them, and no
+/// face ever loses its area. The last cap keeps an op's cost bounded.
+pub(crate) const STAGES: [Stage; 4] = [
+    Stage { max_valence_sum: 22, min_cosine: Some(0.2) },
+    Stage { max_valence_sum: 40, min_cosine: Some(0.2) },
+    Stage { max_valence_sum: 40, min_cosine: None },
+    Stage { max_valence_sum: 400, min_cosine: None },
+];
+
+/// What a legal collapse was found to do; the buffers are reused from one test to the next.
+#[derive(Debug, Default)]
+pub(crate) struct Examined {
+    /// Spokes of `t` in the faces that go over to `s`.
+    pub(crate) arc: Vec<u32>,
+    /// Normals of the arc faces before and after, twice the area long.
+    pub(crate) normals: Vec<(DVec3, DVec3)>,
+    /// Neighbours of `t`.
+    pub(crate) around: Vec<u32>,
+    /// Cost of the slivers it makes.
+    pub(crate) sliver: f64,
+    /// Per vertex, the number of the last test that met it among the neighbours of `s`.
+    seen: Vec<u32>,
+    tests: u32,
+}
+
+impl Examined {
+    pub(crate) fn new(vertex_count: usize) -> Self {
+        Self { seen: vec![0; vertex_count], ..Self::default() }
+    }
+
+    /// Whether `site` may collapse. Fills the fields if so. O(valence of s and t).
+    ///
+    /// Topology is the link condition (Dey, Edelsbrunner, Guha, Nekhayev 1999) with a virtual vertex joined to every boundary
+    /// edge, which reduces to: a boundary vertex goes only along a boundary edge; the common neighbours of `s` and `t` are
+    /// the third corners of the edge's faces; these keep at least 3 faces inside, 1 on the boundary, so that each removed
+    /// face leaves at least one neighbour behind.
+    pub(crate) fn is_legal(
+        &mut self,
+        surface: &Surface,
+        points: &[Point],
+        site: Site,
+        weight: f64,
+        stage: &Stage,
+    ) -> bool {
+        let Site { s, t, left, right } = site;
+        let sum = surface.valence(s) + surface.valence(t);
+        if sum > stage.max_valence_sum || (points[t as usize].is_boundary && left.is_some() && right.is_some()) {
+            return false;
+        }
+        let apexes = [site.left_apex(surface), site.right_apex(surface)];
+        let keeps_enough = |v: u32| surface.valence(v) > if points[v as usize].is_boundary { 1 } else { 3 };
+        if !apexes.iter().flatten().all(|&v| keeps_enough(v)) || apexes[0] == apexes[1] {
+            return false;
+        }
+        self.has_only_expected_neighbors(surface, site) && self.keeps_orientation(surface, points, site, weight, stage)
+    }
+
+    fn has_only_expected_neighbors(&mut self, surface: &Surface, site: Site) -> bool {
+        self.tests = match self.tests.checked_add(1) {
+            Some(tests) => tests,
+            None => {
+                self.seen.fill(0);
+                1
+            }
+        };
+        for v in surface.neighbors(site.s) {
+            self.seen[v as usize] = self.tests;
+        }
+        self.around.clear();
+        self.around.extend(surface.neighbors(site.t));
+        let common = self.around.iter().filter(|&&v| self.seen[v as usize] == self.tests).count();
+        common == usize::from(site.left.is_some()) + usize::from(site.right.is_some())
+    }
+
+    /// The flip test. Cross products of lattice differences are exact, so "zero area" means just that. A face without area
+    /// has no normal to keep: it is let through until it gains area, then compared with the mean normal around `t`.
+    fn keeps_orientation(
+        &mut self,
+        surface: &Surface,
+        points: &[Point],
+        site: Site,
+        weight: f64,
+        stage: &Stage,
+    ) -> bool {
+        self.arc.clear();
+        self.normals.clear();
+        self.sliver = 0.0;
+        let Some(start) = surface.arc_start(site) else { return true };
+        let stop = site.left.map(super::surface::next);
+        let [s, t] = [site.s, site.t].map(|v| points[v as usize].at());
+        let length_squared = s.distance_squared(t);
+        let mut gains_area = false;
+        for h in surface.spokes_from(start) {
+            if Some(h) == stop {
+                break;
+            }
+            let (x, y) = others(surface, h);
+            let [x, y] = [x, y].map(|v| points[v as usize].at());
+            let (before, after) = (shape(t, x, y), shape(s, x, y));
+            let lost = after.0 == DVec3::ZERO;
+            if before.0 == DVec3::ZERO {
+                gains_area |= !lost;
+            } else if lost || !turns_little(before.0, after.0, stage) {
+                return false;
+            }
+            self.sliver += sliver(before, after, length_squared, weight);
+            self.arc.push(h);
+            self.normals.push((before.0, after.0));
+        }
+        if !gains_area || stage.min_cosine.is_none() {
+            return true;
+        }
+        let around: DVec3 = surface
+            .spokes(site.t)
+            .map(|h| {
+                let (x, y) = others(surface, h);
+                shape(t, points[x as usize].at(), points[y as usize].at()).0
+            })
+            .sum();
+        around == DVec3::ZERO
+            || self.normals.iter().all(|&(before, after)| {
+                before != DVec3::ZERO || after == DVec3::ZERO || turns_little(around, after, stage)
+            })
+    }
+}
+
+/// Whether the angle between two normals is within the stage's limit.
+#[inline]
+fn turns_little(before: DVec3, after: DVec3, stage: &Stage) -> bool {
+    let Some(min) = stage.min_cosine else { return true };
+    let dot = before.dot(after);
+    dot > 0.0 && dot * dot > min * min * before.length_squared() * after.length_squared()
+}

@@ -1,0 +1,85 @@
+//! What a build says about itself.
+
+use serde::Serialize;
+
+/// Figures of one build. Lengths are in lattice steps.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct BuildReport {
+    /// Bits of the lattice per axis.
+    pub bits: u8,
+    /// Model units per lattice step.
+    pub step: f64,
+    /// Vertices of the input, those without faces included.
+    pub vertices: usize,
+    /// Triangles of the input.
+    pub triangles: usize,
+    /// Connected components.
+    pub components: usize,
+    /// Vertices on the boundary.
+    pub boundary_vertices: usize,
+    /// Whether facing-away tests are off.
+    pub is_open: bool,
+    /// Passes of the batched order.
+    pub passes: u32,
+    /// Splits recorded.
+    pub splits: usize,
+    /// Triangles of the base: the smallest legal triangle limit.
+    pub base_triangles: usize,
+    /// Vertices of the base.
+    pub base_vertices: usize,
+    /// Components in the base.
+    pub base_components: usize,
+    /// Components that are spawned.
+    pub spawns: usize,
+    /// Triangles that spawns insert.
+    pub spawn_triangles: usize,
+    /// Smallest error of a split that is not zero, and the largest; zeros without such splits.
+    pub error_range: [f32; 2],
+    /// Splits with an error of exactly zero.
+    pub zero_error_splits: usize,
+    /// Ops on the longest chain of parents.
+    pub depth: u32,
+    /// Splits by number of distinct parents, 0 to 3.
+    pub parents: [u64; 4],
+    /// Mean number of distinct parents.
+    pub mean_parents: f64,
+    /// Mean valence of the split vertex before the split.
+    pub mean_valence: f64,
+    /// Where the time went.
+    pub timings: Timings,
+}
+
+/// Wall time by stage, in seconds.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct Timings {
+    /// Lattice, half-edges, components.
+    pub prepare: f64,
+    /// First quadrics, bounds and costs.
+    pub initialize: f64,
+    /// The passes.
+    pub simplify: f64,
+    /// Ids and records.
+    pub assemble: f64,
+    /// All of it.
+    pub total: f64,
+}
+
+/// What a build is doing.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum BuildStage {
+    /// Lattice, half-edges, components.
+    Prepare,
+    /// Collapsing.
+    Simplify,
+    /// Making records.
+    Assemble,
+}
+
+/// How far a build is.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub struct Progress {
+    /// What it is doing.
+    pub stage: BuildStage,
+    /// Share of that stage, 0 to 1.
+    pub fraction: f32,
+}

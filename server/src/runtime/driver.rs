@@ -1,0 +1,342 @@
+//! One session between two bounded channels: frames in, frames out, and the only clock that its core sees.
+//!
+//! The core itself lives on the compute threads: each call to it is one slice of the [`Pool`]. Nothing is asked of a core
+//! before there is room for its answer, so a slow link costs no work and the newest view wins.
+
+use std::time::Duration;
+
+use lodestream_protocol::message::CloseCode;
+use lodestream_protocol::time::Timestamp;
+use tokio::sync::mpsc;
+use tokio::time::{Instant, sleep_until};
+
+use super::pool::{Pool, PoolError};
+use crate::session::{Session, SessionError, SessionStats};
+
+/// A core that says "call me again" for a time gone by is called after this long, or it would keep a thread busy.
+const SHORTEST_WAIT: Duration = Duration::from_millis(1);
+
+/// What the driver needs of a session: [`Session`], or a stand-in that a test controls.
+pub trait Core: Send + 'static {
+    /// See [`Session::handle_frame`].
+    ///
+    /// # Errors
+    /// [`SessionError`] ends the session.
+    fn handle_frame(&mut self, now: Timestamp, frame: &[u8]) -> Result<(), SessionError>;
+    /// See [`Session::poll_transmit`].
+    ///
+    /// # Errors
+    /// [`SessionError`] ends the session.
+    fn poll_transmit(&mut self, now: Timestamp) -> Result<Option<Vec<u8>>, SessionError>;
+    /// See [`Session::poll_timeout`].
+    fn poll_timeout(&self) -> Option<Timestamp>;
+    /// See [`Session::stats`].
+    fn stats(&self) -> SessionStats;
+}
+
+impl Core for Session {
+    fn handle_frame(&mut self, now: Timestamp, frame: &[u8]) -> Result<(), SessionError> {
+        self.handle_frame(now, frame)
+    }
+
+    fn poll_transmit(&mut self, now: Timestamp) -> Result<Option<Vec<u8>>, SessionError> {
+        self.poll_transmit(now)
+    }
+
+    fn poll_timeout(&self) -> Option<Timestamp> {
+        self.poll_timeout()
+    }
+
+    fn stats(&self) -> SessionStats {
+        self.stats()
+    }
+}
+
+/// What bounds every driver.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DriverSettings {
+    /// A client that has not sent its first frame by then is closed.
+    pub hello_timeout: Duration,
+    /// Frames from the client that may wait for the session.
+    pub inbound_frames: usize,
+    /// Frames for the client that may wait for the socket.
+    pub outbound_frames: usize,
+}
+
+/// Why a session is over.
+#[derive(Debug, thiserror::Error)]
+pub enum SessionEnd {
+    /// The client closed the connection or vanished.
+    #[error("the client is gone")]
+    PeerGone,
+    /// The server stops.
+    #[error("the server is shutting down")]
+    ShuttingDown,
+    /// The client was silent, or did not read, for too long.
+    #[error("{what} within {limit:?}")]
+    Timeout {
+        /// What did not happen.
+        what: &'static str,
+        /// How long the server waited.
+        limit: Duration,
+    },
+    /// What came through the socket is no frame of the protocol.
+    #[error("{0}")]
+    Malformed(String),
+    /// The session gave up.
+    #[error(transparent)]
+    Failed(#[from] SessionError),
+    /// A slice of the session gave no result.
+    #[error("internal error")]
+    Lost(#[source] PoolError),
+}
+
+impl SessionEnd {
+    /// What to close the connection with.
+    pub fn code(&self) -> CloseCode {
+        match self {
+            Self::PeerGone => CloseCode::Normal,
+            Self::ShuttingDown => CloseCode::GoingAway,
+            Self::Timeout { .. } => CloseCode::Timeout,
+            Self::Malformed(_) => CloseCode::Malformed,
+            Self::Failed(error) => error.code(),
+            Self::Lost(_) => CloseCode::Internal,
+        }
+    }
+}
+
+/// How a session went.
+#[derive(Debug)]
+pub struct SessionReport {
+    /// Why it is over.
+    pub end: SessionEnd,
+    /// Its totals, or `None` when it was lost or interrupted within a slice.
+    pub stats: Option<SessionStats>,
+}
+
+/// Runs `core` until the client leaves, the core fails, or `interrupted` gives another reason to stop.
+///
+/// `inbound` and `outbound` are the bounded channels of [`DriverSettings`]. `interrupted` is polled together with the
+/// session, so whoever moves frames between socket and channels can live in it.
+pub async fn drive(
+    core: Box<dyn Core>,
+    pool: &Pool,
+    hello_timeout: Duration,
+    inbound: mpsc::Receiver<Vec<u8>>,
+    outbound: mpsc::Sender<Vec<u8>>,
+    interrupted: impl Future<Output = SessionEnd>,
+) -> SessionReport {
+    let mut driver = Driver { core: Some(core), pool, started: Instant::now(), wake: None, wants_transmit: false };
+    let end = tokio::select! {
+        biased;
+        end = interrupted => end,
+        end = driver.run(hello_timeout, inbound, outbound) => end,
+    };
+    let stats = match driver.core.take() {
+        Some(core) => pool.run(move || core.stats()).await.ok(),
+        None => None,
+    };
+    SessionReport { end, stats }
+}
+
+struct Driver<'a> {
+    /// `None` while a slice has it.
+    core: Option<Box<dyn Core>>,
+    pool: &'a Pool,
+    started: Instant,
+    /// When to ask for a frame again although none came in.
+    wake: Option<Instant>,
+    wants_transmit: bool,
+}
+
+impl Driver<'_> {
+    async fn run(
+        &mut self,
+        hello_timeout: Duration,
+        mut inbound: mpsc::Receiver<Vec<u8>>,
+        outbound: mpsc::Sender<Vec<u8>>,
+    ) -> SessionEnd {
+        let first = match tokio::time::timeout(hello_timeout, inbound.recv()).await {
+            Ok(Some(frame)) => frame,
+            Ok(None) => return SessionEnd::PeerGone,
+            Err(_) => return SessionEnd::Timeout { what: "no hello", limit: hello_timeout },
+        };
+        if let Err(end) = self.handle(first).await {
+            return end;
+        }
+        loop {
+            let wake = self.wake;
+            // Frames first: the next batch should answer the newest of them.
+            let step = tokio::select! {
+                biased;
+                frame = inbound.recv() => match frame {
+                    Some(frame) => self.handle(frame).await,
+                    None => return SessionEnd::PeerGone,
+                },
+                room = outbound.reserve(), if self.wants_transmit => match room {
+                    Ok(room) => self.transmit(room).await,
+                    Err(_) => return SessionEnd::PeerGone,
+                },
+                () = sleep_until(wake.unwrap_or(self.started)), if !self.wants_transmit && wake.is_some() => {
+                    self.wants_transmit = true;
+                    Ok(())
+                }
+            };
+            if let Err(end) = step {
+                return end;
+            }
+        }
+    }
+
+    async fn handle(&mut self, frame: Vec<u8>) -> Result<(), SessionEnd> {
+        self.slice(move |core, now| core.handle_frame(now, &frame)).await?;
+        self.wants_transmit = true;
+        Ok(())
+    }
+
+    async fn transmit(&mut self, room: mpsc::Permit<'_, Vec<u8>>) -> Result<(), SessionEnd> {
+        match self.slice(|core, now| core.poll_transmit(now)).await? {
+            Some(frame) => room.send(frame),
+            None => self.wants_transmit = false,
+        }
+        Ok(())
+    }
+
+    /// One call to the core on a compute thread.
+    async fn slice<T: Send + 'static>(
+        &mut self,
+        call: impl FnOnce(&mut dyn Core, Timestamp) -> Result<T, SessionError> + Send + 'static,
+    ) -> Result<T, SessionEnd> {
+        let mut core = self.core.take().expect("a session runs one slice at a time");
+        let started = self.started;
+        let (core, result, timeout) = self
+            .pool
+            .run(move || {
+                let result = call(core.as_mut(), Timestamp(started.elapsed()));
+                let timeout = core.poll_timeout();
+                (core, result, timeout)
+            })
+            .await
+            .map_err(SessionEnd::Lost)?;
+        self.core = Some(core);
+        self.wake = timeout.map(|at| (self.started + at.0).max(Instant::now() + SHORTEST_WAIT));
+        Ok(result?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::num::NonZeroUsize;
+
+    /// Answers each frame with as many frames as its first byte says, and wakes itself once 50 ms after a frame.
+    #[derive(Default)]
+    struct Echo {
+        due: u8,
+        wake: Option<Timestamp>,
+        sent: u64,
+    }
+
+    impl Core for Echo {
+        fn handle_frame(&mut self, now: Timestamp, frame: &[u8]) -> Result<(), SessionError> {
+            match frame.first() {
+                Some(255) => panic!("expected in this test"),
+                Some(254) => Err(SessionError::Peer("no such message".into(), CloseCode::Malformed)),
+                first => {
+                    self.due += first.copied().unwrap_or(0);
+                    self.wake = Some(now + Duration::from_millis(50));
+                    Ok(())
+                }
+            }
+        }
+
+        fn poll_transmit(&mut self, now: Timestamp) -> Result<Option<Vec<u8>>, SessionError> {
+            if self.due == 0 {
+                return Ok(self.wake.take_if(|wake| *wake <= now).map(|_| vec![99]));
+            }
+            self.due -= 1;
+            self.sent += 1;
+            Ok(Some(vec![self.due]))
+        }
+
+        fn poll_timeout(&self) -> Option<Timestamp> {
+            self.wake
+        }
+
+        fn stats(&self) -> SessionStats {
+            SessionStats { batches: self.sent, ..SessionStats::default() }
+        }
+    }
+
+    struct Session {
+        frames: mpsc::Sender<Vec<u8>>,
+        answers: mpsc::Receiver<Vec<u8>>,
+        report: tokio::task::JoinHandle<SessionReport>,
+        pool: std::sync::Arc<Pool>,
+    }
+
+    fn start(hello_timeout: Duration, interrupted: impl Future<Output = SessionEnd> + Send + 'static) -> Session {
+        let pool = std::sync::Arc::new(Pool::new(NonZeroUsize::MIN, 4).unwrap());
+        let (frames, inbound) = mpsc::channel(4);
+        let (outbound, answers) = mpsc::channel(1);
+        let report = tokio::spawn({
+            let pool = std::sync::Arc::clone(&pool);
+            async move { drive(Box::new(Echo::default()), &pool, hello_timeout, inbound, outbound, interrupted).await }
+        });
+        Session { frames, answers, report, pool }
+    }
+
+    #[tokio::test]
+    async fn frames_are_answered_and_timers_kept() {
+        let mut session = start(Duration::from_secs(10), std::future::pending());
+        session.frames.send(vec![2]).await.unwrap();
+        for expected in [1, 0, 99] {
+            assert_eq!(session.answers.recv().await.unwrap(), [expected]);
+        }
+        drop(session.frames);
+        let report = session.report.await.unwrap();
+        assert!(matches!(report.end, SessionEnd::PeerGone));
+        assert_eq!(report.stats.unwrap().batches, 2);
+    }
+
+    #[tokio::test]
+    async fn a_client_that_does_not_read_stops_the_work() {
+        let mut session = start(Duration::from_secs(10), std::future::pending());
+        session.frames.send(vec![200]).await.unwrap();
+        assert!(session.answers.recv().await.is_some());
+        for _ in 0..50 {
+            session.pool.run(tokio::task::yield_now).await.unwrap().await;
+        }
+        drop(session.frames);
+        let report = session.report.await.unwrap();
+        assert_eq!(report.stats.unwrap().batches, 2, "one read, one in the channel, none beyond");
+    }
+
+    #[tokio::test]
+    async fn silence_errors_and_panics_end_the_session_with_their_codes() {
+        let code = async |frame: Option<u8>| {
+            let session = start(Duration::from_millis(20), std::future::pending());
+            if let Some(byte) = frame {
+                session.frames.send(vec![byte]).await.unwrap();
+            }
+            let report = session.report.await.unwrap();
+            (report.end.code(), report.end.to_string(), session.pool.panics())
+        };
+        assert_eq!(code(None).await, (CloseCode::Timeout, "no hello within 20ms".into(), 0));
+        assert_eq!(code(Some(254)).await, (CloseCode::Malformed, "no such message".into(), 0));
+        assert_eq!(code(Some(255)).await, (CloseCode::Internal, "internal error".into(), 1));
+    }
+
+    #[tokio::test]
+    async fn an_interruption_ends_the_session() {
+        let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
+        let mut session = start(Duration::from_secs(10), async {
+            let _ = stopped.await;
+            SessionEnd::ShuttingDown
+        });
+        session.frames.send(vec![1]).await.unwrap();
+        assert!(session.answers.recv().await.is_some());
+        stop.send(()).unwrap();
+        assert_eq!(session.report.await.unwrap().end.code(), CloseCode::GoingAway);
+    }
+}

@@ -1,0 +1,28 @@
+//! What runs sessions: a driver for each, a pool of compute threads for all, admission and shutdown.
+//!
+//! Sockets are [`http`](crate::http)'s business; what a session does with a frame is the [`Core`]'s.
+
+pub mod admission;
+pub mod driver;
+pub mod pool;
+pub mod shutdown;
+
+pub use admission::{Admission, Admitted, Full};
+pub use driver::{Core, DriverSettings, SessionEnd, SessionReport, drive};
+pub use pool::{Pool, PoolError};
+pub use shutdown::Shutdown;
+
+/// Runs `future` to its end on `io_threads` threads that serve sockets and timers, and stops whatever else they ran.
+///
+/// # Errors
+/// The operating system's, when it gives no threads.
+pub fn block_on<T>(io_threads: usize, future: impl Future<Output = T>) -> std::io::Result<T> {
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(io_threads)
+        .thread_name("lodestream-io")
+        .enable_all()
+        .build()?;
+    let output = runtime.block_on(future);
+    runtime.shutdown_background();
+    Ok(output)
+}

@@ -1,0 +1,244 @@
+//! The server's copy of what a client holds, and which op made which slot.
+
+use lodestream_protocol::ids::VertexSlot;
+use lodestream_protocol::mesh::{Fan, NewVertex, Patch, Replica, SlotSet};
+use lodestream_protocol::op::{BatchEncoder, DecodeError, OpCounts, OpState};
+
+use super::select::OpMap;
+use crate::pack::place::Place;
+use crate::pack::record::NO_OP;
+use crate::pack::{PackError, PackedModel, SplitFields};
+
+/// Why a batch could not be made.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum MirrorError {
+    /// The pack is at fault.
+    #[error(transparent)]
+    Model(#[from] PackError),
+    /// The mirror is: a bug.
+    #[error("op {op} does not fit the mirror: {reason}")]
+    Op { op: u32, reason: String },
+    /// Likewise.
+    #[error("batch does not fit the mirror: {0}")]
+    Batch(#[from] DecodeError),
+}
+
+/// What one batch shall do.
+#[derive(Debug)]
+pub(crate) struct BatchPlan<'a> {
+    /// Apply these ops, parents before children, after making room for them.
+    pub(crate) ops: &'a [u32],
+    /// Ops in these slots may be collapsed to make room; those that are get removed.
+    pub(crate) stale: &'a mut SlotSet,
+    /// Those of them that stay unless room is needed.
+    pub(crate) reluctant: &'a mut SlotSet,
+    /// Collapse so many even where no room is needed.
+    pub(crate) spare_collapses: u32,
+    /// Limit in force.
+    pub(crate) limit: u32,
+}
+
+/// Most triangles that one batch frees, so that its collapses stay below the number of ops in a batch.
+const MAX_FREED: u32 = 8192;
+
+/// Replica, cache and contexts as the client has them, and the ops behind the slots.
+#[derive(Debug)]
+pub(crate) struct Mirror {
+    state: OpState,
+    /// Op whose address a slot is, or `NO_OP`.
+    op_at: Vec<u32>,
+    slot_of: OpMap<u32>,
+    // Work space.
+    rounds: OpMap<u32>,
+}
+
+impl Mirror {
+    pub(crate) fn new(model: &PackedModel, cache_entries: u32) -> Result<Self, PackError> {
+        let info = model.info();
+        let state = OpState::new(model.base(), info.lattice.bits, info.has_colors, info.has_moves, cache_entries)
+            .map_err(|error| PackError::Damaged { section: "base", reason: error.to_string() })?;
+        Ok(Self { state, op_at: Vec::new(), slot_of: OpMap::default(), rounds: OpMap::default() })
+    }
+
+    pub(crate) fn replica(&self) -> &Replica {
+        self.state.replica()
+    }
+
+    /// Applied ops and the slots they are addressed by, in no particular order.
+    pub(crate) fn applied(&self) -> impl Iterator<Item = (u32, u32)> + '_ {
+        self.slot_of.iter().map(|(&op, &slot)| (op, slot))
+    }
+
+    pub(crate) fn is_applied(&self, op: u32) -> bool {
+        self.slot_of.contains_key(&op)
+    }
+
+    pub(crate) fn heap_bytes(&self) -> usize {
+        self.state.heap_bytes() + self.op_at.capacity() * 4 + (self.slot_of.capacity() + self.rounds.capacity()) * 9
+    }
+
+    /// Encodes a batch and applies it. Returns the bytes, what they do, and how many of the plan's ops, counted from the
+    /// front, found room.
+    pub(crate) fn batch(
+        &mut self,
+        model: &PackedModel,
+        plan: &mut BatchPlan<'_>,
+    ) -> Result<(Vec<u8>, OpCounts, usize), MirrorError> {
+        let Self { state, op_at, slot_of, rounds } = self;
+        let triangles = |&op: &u32| super::select::triangles_of(model, op);
+        let added: Vec<u32> = plan.ops.iter().map(triangles).collect::<Result<_, _>>()?;
+        let needed = added.iter().fold(state.replica().triangle_count(), |sum, &n| sum.saturating_add(n));
+        let to_free = needed.saturating_sub(plan.limit).min(MAX_FREED);
+        let mut encoder = BatchEncoder::new(state, false);
+        collapse(&mut encoder, plan, to_free, op_at, slot_of)?;
+        let mut room = plan.limit.saturating_sub(encoder.replica().triangle_count());
+        let fitting = added
+            .iter()
+            .take_while(|&&n| {
+                let fits = n <= room;
+                room = room.saturating_sub(n);
+                fits
+            })
+            .count();
+        let ops = &plan.ops[..fitting];
+        spawn(&mut encoder, model, ops, plan.limit, op_at, slot_of)?;
+        split(&mut encoder, model, ops, plan.limit, op_at, slot_of, rounds)?;
+        let (bytes, counts) = encoder.finish();
+        Ok((bytes, counts, fitting))
+    }
+}
+
+fn collapse(
+    encoder: &mut BatchEncoder<'_>,
+    plan: &mut BatchPlan<'_>,
+    to_free: u32,
+    op_at: &mut [u32],
+    slot_of: &mut OpMap<u32>,
+) -> Result<(), MirrorError> {
+    let target = encoder.replica().triangle_count().saturating_sub(to_free);
+    let mut spare = plan.spare_collapses;
+    let mut members: Vec<u32> = Vec::new();
+    let mut is_first = true;
+    loop {
+        members.clear();
+        let replica = encoder.replica();
+        let mut triangles = replica.triangle_count();
+        let mut consider = |slot: u32| {
+            let needs_room = triangles > target;
+            if !plan.stale.contains(slot) || (!needs_room && plan.reluctant.contains(slot)) {
+                return true;
+            }
+            if needs_room {
+                triangles = triangles.saturating_sub(replica.triangles_of(VertexSlot(slot)));
+            } else if spare > 0 {
+                spare -= 1;
+            } else {
+                return false;
+            }
+            members.push(slot);
+            true
+        };
+        if is_first {
+            replica.collapsible().iter().all(&mut consider);
+        } else {
+            encoder.candidates().all(&mut consider);
+        }
+        is_first = false;
+        for &slot in &members {
+            let op = std::mem::replace(&mut op_at[slot as usize], NO_OP);
+            slot_of.remove(&op);
+            plan.stale.remove(slot);
+            plan.reluctant.remove(slot);
+        }
+        if !encoder.collapse_round(&members)? {
+            return Ok(());
+        }
+    }
+}
+
+fn spawn(
+    encoder: &mut BatchEncoder<'_>,
+    model: &PackedModel,
+    ops: &[u32],
+    limit: u32,
+    op_at: &mut Vec<u32>,
+    slot_of: &mut OpMap<u32>,
+) -> Result<(), MirrorError> {
+    let mut ids: Vec<u32> = ops.iter().copied().filter(|&op| op < model.spawn_count()).collect();
+    ids.sort_unstable();
+    let patches: Vec<Patch> = ids.iter().map(|&id| model.spawn_patch(id)).collect::<Result<_, _>>()?;
+    let spawns: Vec<(u32, &Patch)> = ids.iter().copied().zip(&patches).collect();
+    for (slot, &id) in encoder.spawns(&spawns, limit)?.into_iter().zip(&ids) {
+        note(op_at, slot_of, id, slot.0);
+    }
+    Ok(())
+}
+
+fn split(
+    encoder: &mut BatchEncoder<'_>,
+    model: &PackedModel,
+    ops: &[u32],
+    limit: u32,
+    op_at: &mut Vec<u32>,
+    slot_of: &mut OpMap<u32>,
+    rounds: &mut OpMap<u32>,
+) -> Result<(), MirrorError> {
+    // The round of an op is one more than that of its latest parent in this batch: then it is legal, and by the rule of
+    // neighbouring faces its vertex is among those that the round before touched.
+    rounds.clear();
+    let mut by_round: Vec<Vec<u32>> = Vec::new();
+    for &op in ops.iter().filter(|&&op| op >= model.spawn_count()) {
+        let (parents, count) = model.parents(op)?;
+        let round = parents[..count].iter().filter_map(|p| rounds.get(p)).map(|r| r + 1).max().unwrap_or(0);
+        rounds.insert(op, round);
+        if by_round.len() <= round as usize {
+            by_round.resize(round as usize + 1, Vec::new());
+        }
+        by_round[round as usize].push(op);
+    }
+    let mut vertices = Vec::new();
+    for (round, ops) in by_round.iter().enumerate() {
+        let mut members: Vec<(Place, u32, SplitFields)> = Vec::with_capacity(ops.len());
+        for &op in ops {
+            let fields = model.split(op)?;
+            let place = Place::find(model, encoder.replica(), |op| slot_of.get(&op).copied(), &fields)?
+                .ok_or_else(|| missing(op, "a parent is not applied"))?;
+            members.push((place, op, fields));
+        }
+        members.sort_unstable_by_key(|m| m.0.s);
+        vertices.clear();
+        vertices.extend(members.iter().map(|m| m.0.s.0));
+        encoder.split_round(&vertices)?;
+        for (place, op, fields) in members {
+            let vertex = NewVertex {
+                position: fields.position,
+                color: fields.color,
+                s_move: fields.s_move,
+                s_color_move: fields.s_color_move,
+            };
+            let resolve = |replica: &Replica, fan: &Fan| Some((place.cut(replica, fan).ok()?, vertex));
+            let t = encoder.split(place.s.0, limit, resolve).map_err(|error| missing(op, &error.to_string()))?;
+            note(op_at, slot_of, op, t.0);
+        }
+        let more = encoder.end_split_round();
+        if round + 1 == by_round.len() && more {
+            encoder.split_round(&[])?;
+        }
+    }
+    if by_round.is_empty() {
+        encoder.split_round(&[])?;
+    }
+    Ok(())
+}
+
+fn missing(op: u32, reason: &str) -> MirrorError {
+    MirrorError::Op { op, reason: reason.into() }
+}
+
+fn note(op_at: &mut Vec<u32>, slot_of: &mut OpMap<u32>, op: u32, slot: u32) {
+    if op_at.len() <= slot as usize {
+        op_at.resize(slot as usize + 1, NO_OP);
+    }
+    op_at[slot as usize] = op;
+    slot_of.insert(op, slot);
+}

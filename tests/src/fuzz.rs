@@ -1,0 +1,181 @@
+//! Mutation fuzzing of everything that takes bytes from outside. A target takes a generator and runs one case; it must
+//! neither panic nor hang nor allocate without bound, whatever the bytes.
+
+use std::sync::Arc;
+
+use fastrand::Rng;
+use glam::DVec3;
+use lodestream_client::core::{ClientConfig, ClientSession};
+use lodestream_protocol::time::Timestamp;
+use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
+use lodestream_protocol::wire;
+use lodestream_server::ingest::read::{read_obj, read_ply};
+use lodestream_server::mesh::export::{PlyOptions, write_obj, write_ply};
+use lodestream_server::pack::{self, CompleteMesh, Metadata, PackedModel, write_to_vec};
+use lodestream_server::session::{Session, SessionConfig};
+
+use crate::meshes;
+use crate::model::TestModel;
+use crate::sim::{Pair, PairConfig};
+
+/// A named target.
+pub struct Target {
+    /// For the command line and for reports.
+    pub name: &'static str,
+    /// Runs one case.
+    pub run: Box<dyn Fn(&mut Rng)>,
+}
+
+/// Flips, cuts, repeats, inserts: a few changes at random places.
+pub fn mutate(rng: &mut Rng, bytes: &mut Vec<u8>) {
+    for _ in 0..1 + rng.usize(0..4) {
+        let at = rng.usize(0..bytes.len() + 1);
+        match rng.u8(0..8) {
+            0 => bytes.truncate(at),
+            1 => bytes.insert(at, rng.u8(..)),
+            2 => {
+                let end = (at + rng.usize(0..9)).min(bytes.len());
+                bytes.drain(at..end);
+            }
+            3 => {
+                let end = (at + rng.usize(0..17)).min(bytes.len());
+                let piece: Vec<u8> = bytes[at..end].to_vec();
+                let to = rng.usize(0..bytes.len() + 1);
+                bytes.splice(to..to, piece);
+            }
+            4 if at < bytes.len() => bytes[at] = [0, 1, 0x7f, 0x80, 0xff, 251, 252, 253][rng.usize(0..8)],
+            5 if at < bytes.len() => bytes[at] = bytes[at].wrapping_add(1),
+            _ if at < bytes.len() => bytes[at] ^= 1 << rng.u8(0..8),
+            _ => {}
+        }
+    }
+}
+
+/// Everything that takes bytes from outside.
+pub fn targets() -> Vec<Target> {
+    let test = TestModel::new(meshes::many_components(20, 7), Some(12));
+    let colored = TestModel::new(meshes::colored_sphere(3), Some(12));
+    let recorded = [record(&test.model), record(&colored.model)];
+    let [down, up] = [0, 1].map(|end| {
+        let frames: Vec<Vec<Vec<u8>>> = recorded.iter().map(|frames| frames[end].clone()).collect();
+        Arc::new(frames)
+    });
+    let models = [test.model.clone(), colored.model.clone()];
+    let mut ply = Vec::new();
+    let mesh = meshes::colored_sphere(1);
+    write_ply(&mesh, &PlyOptions::default(), &mut ply).expect("writing to memory");
+    let mut obj = Vec::new();
+    write_obj(&mesh, &mut obj).expect("writing to memory");
+    let pack = small_pack();
+
+    let mut targets: Vec<Target> = Vec::new();
+    let mut add = |name, run: Box<dyn Fn(&mut Rng)>| targets.push(Target { name, run });
+    let frames = down.clone();
+    add("client", Box::new(move |rng| client_case(rng, &frames)));
+    let frames = up.clone();
+    add("server", Box::new(move |rng| server_case(rng, &models, &frames)));
+    add(
+        "wire",
+        Box::new(move |rng| {
+            let sessions = if rng.bool() { &down } else { &up };
+            let frames = &sessions[rng.usize(0..sessions.len())];
+            let mut frame = frames[rng.usize(0..frames.len())].clone();
+            mutate(rng, &mut frame);
+            let _ = (wire::decode_client(&frame), wire::decode_server(&frame));
+        }),
+    );
+    add("ply", Box::new(move |rng| drop(read_ply(&mutated(rng, &ply)))));
+    add("obj", Box::new(move |rng| drop(read_obj(&mutated(rng, &obj)))));
+    add("pack", Box::new(move |rng| pack_case(rng, &pack)));
+    targets
+}
+
+fn mutated(rng: &mut Rng, bytes: &[u8]) -> Vec<u8> {
+    let mut bytes = bytes.to_vec();
+    mutate(rng, &mut bytes);
+    bytes
+}
+
+/// The frames of a short session, server to client and back.
+fn record(model: &Arc<PackedModel>) -> [Vec<Vec<u8>>; 2] {
+    let mut pair = Pair::new(model.clone(), PairConfig::default());
+    pair.keep_frames();
+    let corner = |q| DVec3::from_array(model.info().lattice.position(q));
+    let (min, max) = (corner(model.info().box_min), corner(model.info().box_max));
+    for step in 0..4 {
+        let angle = f64::from(step);
+        let eye = (min + max) / 2.0 + DVec3::new(angle.sin(), 0.3, angle.cos()) * (max - min).length();
+        let mut view = View::perspective(eye, (min + max) / 2.0, 0.8);
+        view.near = (max - min).length() * 1e-3;
+        view.tolerance_px = 0.5;
+        view.triangle_limit = if step == 2 { 400 } else { UNLIMITED_TRIANGLES };
+        pair.look(view);
+        pair.settle();
+    }
+    pair.kept_frames()
+}
+
+/// A client that is sent a real session up to some frame, then bad ones.
+fn client_case(rng: &mut Rng, sessions: &[Vec<Vec<u8>>]) {
+    let frames = &sessions[rng.usize(0..sessions.len())];
+    let mut client = ClientSession::new(ClientConfig::default());
+    let good = rng.usize(0..frames.len().min(8));
+    let mut now = Timestamp::default();
+    let picks = [0; 3].map(|_: usize| rng.usize(0..frames.len()));
+    let bad = picks.map(|i| mutated(rng, &frames[i]));
+    for frame in frames[..good].iter().chain(&bad).chain(&frames[good..]) {
+        now = now + std::time::Duration::from_millis(5);
+        while client.poll_transmit(now).is_some() {}
+        if client.handle_frame(now, frame).is_err() {
+            break;
+        }
+    }
+}
+
+/// A server session that hears a real client, then bad frames; it is polled as a driver would, within bounds.
+fn server_case(rng: &mut Rng, models: &[Arc<PackedModel>; 2], sessions: &[Vec<Vec<u8>>]) {
+    let which = rng.usize(0..2);
+    let frames = &sessions[which];
+    let mut server = Session::new(models[which].clone(), SessionConfig::default());
+    let mut now = Timestamp::default();
+    for frame in frames.iter().take(rng.usize(1..12)) {
+        now = now + std::time::Duration::from_millis(5);
+        let bytes = if rng.u8(0..3) == 0 { mutated(rng, frame) } else { frame.clone() };
+        if server.handle_frame(now, &bytes).is_err() {
+            return;
+        }
+        for _ in 0..3 {
+            match server.poll_transmit(now) {
+                Ok(Some(_)) => {}
+                Ok(None) => break,
+                Err(error) => panic!("a client's frame broke the server's own state: {error}"),
+            }
+        }
+    }
+}
+
+fn small_pack() -> Vec<u8> {
+    use lodestream_server::ingest::clean::clean;
+    use lodestream_server::ingest::simplify::{BuildOptions, build};
+    let (mesh, _) = clean(meshes::many_components(6, 3));
+    let (dag, _) = build(&mesh, &BuildOptions { bits: Some(10), ..BuildOptions::default() }, &mut |_| {})
+        .expect("the mesh is clean");
+    let positions: Vec<[i32; 3]> = mesh.positions.iter().map(|&p| dag.lattice.quantize(p)).collect();
+    let complete = CompleteMesh::of(&positions, None, &mesh.faces);
+    write_to_vec(&dag, &complete, &Metadata::default()).expect("the model fits a pack")
+}
+
+fn pack_case(rng: &mut Rng, bytes: &[u8]) {
+    let bytes = mutated(rng, bytes);
+    let _ = pack::verify(Arc::new(bytes.clone()));
+    let Ok(model) = PackedModel::from_vec(bytes) else { return };
+    for _ in 0..20 {
+        let op = rng.u32(0..model.op_count().max(1) + 2);
+        let _ = model.bounds(op);
+        if op >= model.spawn_count() {
+            let _ = (model.children(op), model.split(op), model.parents(op));
+        } else {
+            let _ = (model.spawn_patch(op), model.spawn_first_splits(op));
+        }
+    }
+}

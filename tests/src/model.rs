@@ -1,0 +1,49 @@
+//! From a mesh to an open model in memory, by the same steps as `ingest`.
+
+use std::sync::Arc;
+
+use lodestream_server::ingest::clean::clean;
+use lodestream_server::ingest::simplify::{BuildOptions, build};
+use lodestream_server::mesh::TriMesh;
+use lodestream_server::pack::{CompleteMesh, Metadata, PackedModel, write_to_vec};
+
+/// A model and the mesh that it must refine to.
+#[derive(Debug)]
+pub struct TestModel {
+    /// Ready for sessions.
+    pub model: Arc<PackedModel>,
+    /// The cleaned input, in model units.
+    pub clean: TriMesh,
+}
+
+/// An oriented triangle by lattice positions, rotated to its smallest form.
+pub type LatticeTriangle = [[i32; 3]; 3];
+
+/// The smallest of the three rotations, orientation kept: the same for all ways to write a triangle, also where corners
+/// coincide.
+pub fn canonical(triangle: LatticeTriangle) -> LatticeTriangle {
+    let [a, b, c] = triangle;
+    [[a, b, c], [b, c, a], [c, a, b]].into_iter().min().expect("three rotations")
+}
+
+impl TestModel {
+    /// Cleans and builds `mesh` with so many lattice bits, or the default.
+    pub fn new(mesh: TriMesh, bits: Option<u8>) -> Self {
+        let (clean, _) = clean(mesh);
+        let options = BuildOptions { bits, ..BuildOptions::default() };
+        let (dag, _) = build(&clean, &options, &mut |_| {}).expect("the mesh is clean");
+        let positions: Vec<[i32; 3]> = clean.positions.iter().map(|&p| dag.lattice.quantize(p)).collect();
+        let complete = CompleteMesh::of(&positions, clean.colors.as_deref(), &clean.faces);
+        let bytes = write_to_vec(&dag, &complete, &Metadata::default()).expect("the model fits a pack");
+        Self { model: Arc::new(PackedModel::from_vec(bytes).expect("a pack just written opens")), clean }
+    }
+
+    /// The complete mesh as a sorted multiset of lattice triangles.
+    pub fn expected_triangles(&self) -> Vec<LatticeTriangle> {
+        let lattice = self.model.info().lattice;
+        let at = |v: u32| lattice.quantize(self.clean.positions[v as usize]);
+        let mut triangles: Vec<_> = self.clean.faces.iter().map(|f| canonical(f.map(at))).collect();
+        triangles.sort_unstable();
+        triangles
+    }
+}

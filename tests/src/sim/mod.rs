@@ -1,0 +1,7 @@
+//! Both cores on a virtual link and clock: a simulated hour runs in moments and repeats exactly.
+
+mod link;
+mod pair;
+
+pub use link::{Link, LinkShape};
+pub use pair::{Pair, PairConfig};

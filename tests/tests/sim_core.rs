@@ -1,0 +1,149 @@
+//! The properties on which everything else stands, on generated meshes of every topology.
+
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+use fastrand::Rng;
+use glam::DVec3;
+use lodestream_protocol::message::ModelInfo;
+use lodestream_protocol::testing::check_replica;
+use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
+use lodestream_server::mesh::TriMesh;
+use lodestream_tests::meshes;
+use lodestream_tests::model::TestModel;
+use lodestream_tests::naive::{CompleteMesh, Walker, keyed, ops_for_view, parents, triangles};
+use lodestream_tests::sim::{LinkShape, Pair, PairConfig};
+
+fn every_topology() -> Vec<(&'static str, TriMesh)> {
+    vec![
+        ("empty", meshes::empty()),
+        ("single triangle", meshes::single_triangle()),
+        ("tetrahedron", meshes::tetrahedron()),
+        ("cube", meshes::cube()),
+        ("sphere", meshes::icosphere(4)),
+        ("torus", meshes::torus(40, 20)),
+        ("genus 4", meshes::genus(4, 4)),
+        ("grid", meshes::grid(30, 20)),
+        ("grid with holes", meshes::grid_with_holes(2, 6)),
+        ("open cylinder", meshes::cylinder_open(24, 12)),
+        ("disk", meshes::disk(24, 6)),
+        ("components", meshes::many_components(60, 1)),
+        ("noise", meshes::noisy_sphere(3000, 2)),
+        ("colours", meshes::colored_sphere(4)),
+        ("painted plane", meshes::painted_plane(24)),
+        ("slivers", meshes::sliver_strip(60)),
+        ("zero-area faces", meshes::with_zero_area_faces(3)),
+        ("bow-tie", meshes::bow_tie()),
+        ("moebius", meshes::moebius()),
+        ("three on an edge", meshes::three_on_an_edge()),
+    ]
+}
+
+/// A view of the model from a random place, near or far, with a random tolerance.
+fn random_view(rng: &mut Rng, info: &ModelInfo) -> View {
+    let corner = |q| DVec3::from_array(info.lattice.position(q));
+    let (min, max) = (corner(info.box_min), corner(info.box_max));
+    let radius = ((max - min).length() / 2.0).max(1e-3);
+    let direction = DVec3::new(rng.f64() - 0.5, rng.f64() - 0.5, rng.f64() - 0.5).normalize_or(DVec3::Z);
+    let center = (min + max) / 2.0;
+    let target = center + DVec3::new(rng.f64() - 0.5, rng.f64() - 0.5, rng.f64() - 0.5) * radius;
+    let eye = center + direction * radius * (0.7 + 3.0 * rng.f64() * rng.f64());
+    let mut view = View::perspective(eye, target, 0.3 + rng.f32());
+    view.near = radius * 1e-3;
+    view.tolerance_px = [0.0, 0.5, 1.0, 4.0, 20.0][rng.usize(0..5)];
+    view.two_sided = rng.u8(0..4) == 0;
+    view.silhouette_factor = if rng.bool() { 1.0 } else { 3.0 };
+    view.complete = rng.u8(0..8) == 0;
+    let most = (info.triangles as u32).max(info.smallest_limit + 1);
+    view.triangle_limit = if rng.bool() { UNLIMITED_TRIANGLES } else { rng.u32(info.smallest_limit..most + 1) };
+    view
+}
+
+#[test]
+fn complete_refinement_is_the_input() {
+    for (name, mesh) in every_topology() {
+        let test = TestModel::new(mesh, None);
+        let (_, triangles) = CompleteMesh::new(&test.model);
+        assert_eq!(triangles, test.expected_triangles(), "{name}");
+    }
+}
+
+/// Random legal walks to the same set give the same mesh, which is the one that the set defines; an op may be undone
+/// exactly when no applied op has it as a parent.
+#[test]
+fn the_mesh_is_a_function_of_the_applied_set() {
+    for (name, mesh) in every_topology() {
+        let test = TestModel::new(mesh, Some(12));
+        let model = &*test.model;
+        let (complete, _) = CompleteMesh::new(model);
+        for seed in 0..3 {
+            let mut rng = Rng::with_seed(seed);
+            let mut walker = Walker::new(model);
+            let ops: Vec<u32> = (0..model.op_count()).collect();
+            for phase in 0..6 {
+                let growing = phase % 2 == 0;
+                for _ in 0..ops.len() * 2 {
+                    let Some(&op) = rng.choice(&ops) else { break };
+                    if growing && walker.may_apply(op) {
+                        walker.apply(op);
+                    } else if !growing && walker.slots.contains_key(&op) && rng.bool() {
+                        let is_free = !ops
+                            .iter()
+                            .filter(|other| walker.slots.contains_key(other))
+                            .any(|&other| parents(model, other).contains(&op));
+                        assert_eq!(walker.undo(op), is_free, "{name} {seed}: undoing {op}");
+                    }
+                    if ops.len() > 300 && rng.usize(0..ops.len()) == 0 {
+                        break;
+                    }
+                }
+                let set: BTreeSet<u32> = walker.slots.keys().copied().collect();
+                assert_eq!(walker.keyed(), complete.mesh_of(&set), "{name} {seed} {phase}: {} ops", set.len());
+                check_replica(&walker.replica).unwrap_or_else(|e| panic!("{name} {seed}: {e}"));
+            }
+        }
+    }
+}
+
+/// Settled means P*, by a dull full computation, whatever came before; mirror, client and the mesh that the set defines are
+/// the same; the limit holds after every op.
+#[test]
+fn sessions_settle_on_what_the_view_asks_for() {
+    for (name, mesh) in every_topology() {
+        let test = TestModel::new(mesh, Some(13));
+        let model = &test.model;
+        let (complete, _) = CompleteMesh::new(model);
+        for seed in 0..3 {
+            let mut rng = Rng::with_seed(100 + seed);
+            let mut config = PairConfig::default();
+            config.client.cache_entries = [None, Some(0), Some(20), Some(10_000)][rng.usize(0..4)];
+            if seed == 2 {
+                config.down = LinkShape { bytes_per_sec: 50_000.0, latency: Duration::from_millis(40) };
+                config.up = LinkShape { bytes_per_sec: 50_000.0, latency: Duration::from_millis(40) };
+            }
+            let mut pair = Pair::new(model.clone(), config);
+            for step in 0..8 {
+                let view = random_view(&mut rng, model.info());
+                pair.look(view.clone());
+                if rng.u8(0..3) == 0 {
+                    // Change one's mind in the middle.
+                    pair.run(Duration::from_millis(rng.u64(0..120)));
+                    continue;
+                }
+                pair.settle();
+                let what = format!("{name} seed {seed} step {step}");
+                let applied = pair.server.applied_ops();
+                let set: BTreeSet<u32> = applied.iter().map(|a| a.0).collect();
+                assert_eq!(set, ops_for_view(model, &view), "{what}");
+                let (mirror, replica) = (pair.server.mirror().unwrap(), pair.client.replica().unwrap());
+                assert_eq!(mirror.digest(), replica.digest(), "{what}");
+                assert_eq!(keyed(model, replica, &applied), complete.mesh_of(&set), "{what}");
+                assert!(replica.triangle_count() <= view.triangle_limit, "{what}");
+                if view.complete && view.triangle_limit == UNLIMITED_TRIANGLES {
+                    assert_eq!(triangles(replica), test.expected_triangles(), "{what}");
+                }
+            }
+            check_replica(pair.client.replica().unwrap()).unwrap_or_else(|e| panic!("{name} {seed}: {e}"));
+        }
+    }
+}
