@@ -179,6 +179,26 @@ fn creases_are_sharp_and_curves_smooth() {
 }
 
 #[test]
+fn walls_do_not_tilt_floors_where_many_faces_meet() {
+    let Some(mut studio) = Studio::open() else { return };
+    // The caps are fans of 94 faces around one vertex of the rim, too many to be ordered.
+    let camera = RenderCamera {
+        projection: Projection::Orthographic { height: 3.0 },
+        ..looking(DVec3::new(1.5, 3.0, 2.0), DVec3::ZERO)
+    };
+    let image = studio.shoot_soup("large-fan", &cylinder(96), &camera, &shaded(Shading::Smooth));
+    let cap_normal = (camera.rotation.inverse() * DVec3::Y).as_vec3();
+    for i in 0..100 {
+        // Spiralling to just inside of the rim, which is 2 % wider.
+        let (r, a) = (f64::from(i) / 100.0 * 0.97, f64::from(i) * 2.4);
+        let p = DVec3::new(r * a.cos(), 1.0, r * a.sin());
+        let c = camera.rotation.inverse() * (p - camera.eye);
+        let pixel = image.pixel((320.0 + c.x * 160.0) as u32, (240.0 - c.y * 160.0) as u32);
+        assert_close(pixel, clay(cap_normal), 1.0);
+    }
+}
+
+#[test]
 fn vertex_colors_are_srgb() {
     let Some(mut studio) = Studio::open() else { return };
     let color = [200, 90, 30];

@@ -17,7 +17,8 @@
 const RELIABLE_HEIGHT: f32 = 2.0;
 const UNRELIABLE_WEIGHT: f32 = 1e-3;
 const MOST_ORDERED: u32 = 32u;
-const MOST_LISTED: u32 = 4096u;
+const MOST_LISTED: u32 = 2048u;
+const MOST_GROUPS: u32 = 6u;
 
 fn element(id: vec3<u32>, groups: vec3<u32>) -> u32 {
     return id.y * groups.x * 64u + id.x;
@@ -106,6 +107,21 @@ fn order_fan(count: u32) {
     }
 }
 
+// A crease between the last reliable face, of normal `before`, and spoke `i`: where among the unreliable ones in between.
+// They lie on either side of the edge, and what their normals say is enough to tell which.
+fn cut_before(i: u32, count: u32, before: vec3<f32>) -> u32 {
+    var at = i;
+    for (var n = 1u; n < count; n++) {
+        let previous = (at + count - 1u) % count;
+        let normal = fan[previous].normal;
+        if normal.w > 0.0 || dot(normal.xyz, fan[i].normal.xyz) <= dot(normal.xyz, before) {
+            break;
+        }
+        at = previous;
+    }
+    return at;
+}
+
 @compute @workgroup_size(64)
 fn smooth_corners(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let vertex = element(id, groups);
@@ -150,7 +166,7 @@ fn smooth_corners(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_wor
         let normal = fan[i].normal;
         if normal.w > 0.0 {
             if dot(before, before) > 0.0 && dot(before, normal.xyz) < globals.crease_cosine {
-                cuts |= 1u << i;
+                cuts |= 1u << cut_before(i, count, before);
             }
             before = normal.xyz;
         }
@@ -177,22 +193,53 @@ fn smooth_corners(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_wor
     }
 }
 
-// Too many faces to order: all share one mean, except those that are further from it than the crease angle. Beyond
-// MOST_LISTED corners keep their face's normal, so that no vertex keeps the device busy for long.
+// Too many faces to order: the largest face gathers all that are within the crease angle of it, then the largest of the
+// rest, and so on. One mean for all would let the wall tilt the floor where a rim vertex has a fan of many. What is left
+// after a few rounds, and corners beyond MOST_LISTED, keep their face's normal, so that no vertex keeps the device busy.
 fn smooth_large_fan(head: u32) {
-    var sum = vec3(0.0);
+    var first_code = 0u;
+    for (var round = 0u; round < MOST_GROUPS; round++) {
+        var largest = vec4(0.0);
+        var at = head;
+        for (var i = 0u; i < MOST_LISTED && at != 0u; i++) {
+            let normal = face_normals[(at - 1u) / 3u];
+            if corner_normals[at - 1u] == 0u && normal.w > largest.w {
+                largest = normal;
+            }
+            at = atomicLoad(&links[globals.capacity_slots + at - 1u]);
+        }
+        if largest.w == 0.0 {
+            break;
+        }
+        var sum = vec3(0.0);
+        at = head;
+        for (var i = 0u; i < MOST_LISTED && at != 0u; i++) {
+            let normal = face_normals[(at - 1u) / 3u];
+            if joins(at - 1u, normal, largest.xyz) {
+                sum += weighted(normal);
+            }
+            at = atomicLoad(&links[globals.capacity_slots + at - 1u]);
+        }
+        let code = packed_normal(sum);
+        first_code = select(first_code, code, round == 0u);
+        at = head;
+        for (var i = 0u; i < MOST_LISTED && at != 0u; i++) {
+            if joins(at - 1u, face_normals[(at - 1u) / 3u], largest.xyz) {
+                corner_normals[at - 1u] = code;
+            }
+            at = atomicLoad(&links[globals.capacity_slots + at - 1u]);
+        }
+    }
     var at = head;
     for (var i = 0u; i < MOST_LISTED && at != 0u; i++) {
-        sum += weighted(face_normals[(at - 1u) / 3u]);
+        if corner_normals[at - 1u] == 0u && face_normals[(at - 1u) / 3u].w <= 0.0 {
+            corner_normals[at - 1u] = first_code;
+        }
         at = atomicLoad(&links[globals.capacity_slots + at - 1u]);
     }
-    let mean = direction(sum);
-    let code = packed_normal(sum);
-    at = head;
-    for (var i = 0u; i < MOST_LISTED && at != 0u; i++) {
-        let normal = face_normals[(at - 1u) / 3u];
-        let is_apart = normal.w > 0.0 && dot(normal.xyz, mean) < globals.crease_cosine;
-        corner_normals[at - 1u] = select(code, 0u, is_apart);
-        at = atomicLoad(&links[globals.capacity_slots + at - 1u]);
-    }
+}
+
+// Whether the corner is still free and its face may be shaded with faces of this normal.
+fn joins(corner: u32, normal: vec4<f32>, seed: vec3<f32>) -> bool {
+    return corner_normals[corner] == 0u && dot(normal.xyz, seed) >= globals.crease_cosine;
 }
