@@ -21,15 +21,15 @@ const ROUNDING: f64 = 1.0 + 1e-12;
 
 impl Sphere {
     /// The sphere about the middle of the points' box.
-    pub(crate) fn around(points: impl Iterator<Item = DVec3> + Clone) -> Self {
+    fn around(points: &[DVec3]) -> Self {
         let mut low = DVec3::INFINITY;
         let mut high = DVec3::NEG_INFINITY;
-        for p in points.clone() {
+        for &p in points {
             low = low.min(p);
             high = high.max(p);
         }
         let center = (low + high) * 0.5;
-        let radius = points.map(|p| p.distance_squared(center)).fold(0.0, f64::max).sqrt() * ROUNDING;
+        let radius = points.iter().map(|p| p.distance_squared(center)).fold(0.0, f64::max).sqrt() * ROUNDING;
         Self { center, radius }
     }
 
@@ -86,20 +86,52 @@ impl Normals {
         }
     }
 
-    /// Adds a normal of any length; zero is ignored.
-    pub(crate) fn add(&mut self, normal: DVec3) {
-        let length_squared = normal.length_squared();
-        if length_squared == 0.0 {
-            return;
+    /// The cone of some unit normals about their mean.
+    fn of_units(units: &[DVec3]) -> Self {
+        if units.is_empty() {
+            return Self::Nothing;
         }
-        if let Self::Within(cone) = self {
-            let along = cone.axis.dot(normal);
-            if along > 0.0 && along * along >= cone.cos * cone.cos * length_squared {
+        let sum: DVec3 = units.iter().sum();
+        let length = sum.length();
+        if length < 1e-6 {
+            return Self::Any;
+        }
+        let axis = sum / length;
+        let cos = units.iter().map(|n| axis.dot(*n)).fold(1.0, f64::min);
+        if cos > 0.0 { Self::Within(WideCone { axis, sin: (1.0 - cos * cos).sqrt(), cos }) } else { Self::Any }
+    }
+
+    /// Adds normals of any length; zero is ignored. Takes in the one that sticks out most, then looks again: one or two
+    /// rounds bring in nearly all of them.
+    pub(crate) fn add(&mut self, normals: &[DVec3]) {
+        loop {
+            let mut farthest = (1.0, DVec3::ZERO);
+            let (axis, least) = match self {
+                Self::Any => return,
+                // The first normal there is.
+                Self::Nothing => (DVec3::ZERO, 1.0),
+                Self::Within(cone) => (cone.axis, cone.cos - 1e-12),
+            };
+            for &normal in normals {
+                let length_squared = normal.length_squared();
+                if length_squared == 0.0 {
+                    continue;
+                }
+                let along = axis.dot(normal);
+                if along > 0.0 && along * along >= least * least * length_squared {
+                    continue;
+                }
+                let length = length_squared.sqrt();
+                let cos = along / length;
+                if cos < least && cos < farthest.0 {
+                    farthest = (cos, normal / length);
+                }
+            }
+            if farthest.1 == DVec3::ZERO {
                 return;
             }
+            *self = self.union(Self::Within(WideCone { axis: farthest.1, sin: 0.0, cos: 1.0 }));
         }
-        let axis = normal / length_squared.sqrt();
-        *self = self.union(Self::Within(WideCone { axis, sin: 0.0, cos: 1.0 }));
     }
 }
 
@@ -147,12 +179,10 @@ pub(crate) struct Carried {
 }
 
 impl Carried {
-    /// An original vertex with its one-ring.
-    pub(crate) fn new(ring: impl Iterator<Item = DVec3> + Clone, normals: impl Iterator<Item = DVec3>) -> Self {
-        let mut cone = Normals::Nothing;
-        normals.for_each(|n| cone.add(n));
+    /// An original vertex, from itself and its neighbours and the unit normals of its faces.
+    pub(crate) fn new(ring: &[DVec3], units: &[DVec3]) -> Self {
         let stored = Bounds { center: [0; 3], radius: Magnitude(0), error: Magnitude(0), cone: Cone::ANY };
-        Self { sphere: Sphere::around(ring), normals: cone, last: NONE, stored }
+        Self { sphere: Sphere::around(ring), normals: Normals::of_units(units), last: NONE, stored }
     }
 
     /// Bounds of the last collapse, as stored.
@@ -211,16 +241,9 @@ fn store_cone(normals: Normals, children: impl Iterator<Item = Cone>) -> Cone {
 
 /// Merges what `t` carries into what `s` carries. `ring` is the one-ring of `t` before the collapse, `normals` those of the
 /// faces that change, before and after. Returns the exact union; the caller stores it with an error.
-pub(crate) fn merge(
-    s: &Carried,
-    t: &Carried,
-    ring: &[DVec3],
-    normals: impl Iterator<Item = DVec3>,
-) -> (Sphere, Normals) {
+pub(crate) fn merge(s: &Carried, t: &Carried, ring: &[DVec3], normals: &[DVec3]) -> (Sphere, Normals) {
     let sphere = Sphere::around_spheres(s.sphere, t.sphere, ring);
     let mut cone = s.normals.union(t.normals);
-    if !matches!(cone, Normals::Any) {
-        normals.for_each(|n| cone.add(n));
-    }
+    cone.add(normals);
     (sphere, cone)
 }

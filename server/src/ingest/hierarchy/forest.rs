@@ -133,11 +133,15 @@ impl Roots {
 fn spawn_bounds(simplified: &Simplified, component: u32, faces: &[u32], vertices: &[u32]) -> Bounds {
     let (low, high) = simplified.components.boxes[component as usize];
     let center = (low + high) * 0.5;
+    let face_normals: Vec<_> = faces
+        .iter()
+        .map(|&i| {
+            let [a, b, c] = simplified.root_faces[i as usize].1.map(|v| simplified.points[v as usize].at());
+            (b - a).cross(c - a)
+        })
+        .collect();
     let mut normals = Normals::Nothing;
-    for &i in faces {
-        let [a, b, c] = simplified.root_faces[i as usize].1.map(|v| simplified.points[v as usize].at());
-        normals.add((b - a).cross(c - a));
-    }
+    normals.add(&face_normals);
     for &v in vertices {
         normals = normals.union(simplified.carried[v as usize].normals);
     }

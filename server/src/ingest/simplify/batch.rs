@@ -9,7 +9,7 @@ use glam::DVec3;
 use super::{
     constraint::{Examined, STAGES, Stage},
     quadric::{self, Quadric},
-    surface::{NONE, Site, Surface, prev},
+    surface::{NONE, Site, Surface},
 };
 use crate::ingest::hierarchy::{
     Collapse, Point,
@@ -20,7 +20,7 @@ use crate::ingest::hierarchy::{
 /// Share of the edges that a pass considers, cheapest first.
 const SHARE: f64 = 0.4;
 /// Fewest edges that a pass considers.
-const MIN_CANDIDATES: usize = 16;
+const MIN_CANDIDATES: u32 = 16;
 /// Factor on the sampled deviation and on the RMS quadric distance (ALGORITHMS section 5).
 const SAMPLED_FACTOR: f64 = 1.5;
 const RMS_FACTOR: f64 = 2.0;
@@ -36,8 +36,10 @@ const IS_BLOCKED: u32 = 2;
 const NO_KEY: u32 = u32::MAX;
 /// Keys per histogram bin, as a shift: three bits of mantissa remain.
 const BIN_SHIFT: u32 = 20;
-/// Edges that are sorted together: few enough for what they touch to stay in the cache.
-const BLOCK: usize = 8192;
+/// Faces whose edges are sorted together: few enough for what they touch to stay in the cache.
+const BLOCK: usize = 2048;
+/// Most passes over a block in a row, while it is in the cache.
+const PASSES_PER_SWEEP: u32 = 3;
 
 /// A mesh under simplification and what is carried with it.
 pub(crate) struct Simplifier<'a> {
@@ -47,8 +49,10 @@ pub(crate) struct Simplifier<'a> {
     pub(crate) carried: Vec<Carried>,
     /// Per face, the collapse that removed it, or [`NONE`].
     pub(crate) removed_by: Vec<u32>,
-    /// Passes done.
-    pub(crate) passes: u32,
+    /// Sweeps over the mesh done.
+    pub(crate) sweeps: u32,
+    /// Number of the current pass over a block.
+    passes: u32,
     /// Sum over all collapses of the valence of `s` afterwards.
     pub(crate) valence_sum: u64,
     quadrics: Vec<Quadric>,
@@ -60,13 +64,14 @@ pub(crate) struct Simplifier<'a> {
     /// Per vertex, the last pass in which its star changed. In that pass it takes no further part.
     changed_in: Vec<u32>,
     live_faces: Vec<u32>,
-    /// Keys and half-edges of the edges that are not blocked.
-    open: Vec<(u32, u32)>,
     bins: Vec<u32>,
+    /// Keys and half-edges of a block's candidates, before and after sorting.
+    unsorted: Vec<(u32, u32)>,
     candidates: Vec<(u32, u32)>,
     examined: Examined,
     star: Star,
     ring: Vec<DVec3>,
+    normals: Vec<DVec3>,
     /// Edges at the vertex just kept, as half-edges, and their other ends.
     around: Vec<(u32, u32)>,
 }
@@ -84,12 +89,13 @@ impl<'a> Simplifier<'a> {
     pub(crate) fn new(surface: Surface, points: &'a [Point], has_colors: bool) -> Self {
         let vertices = surface.vertex_count();
         let quadrics = quadric::initial(&surface, points);
-        let carried = (0..vertices as u32).map(|v| original(&surface, points, v)).collect();
+        let carried = originals(&surface, points);
         let mut simplifier = Self {
             points,
             collapses: Vec::with_capacity(vertices),
             carried,
             removed_by: vec![NONE; surface.face_count()],
+            sweeps: 0,
             passes: 0,
             valence_sum: 0,
             quadrics,
@@ -98,12 +104,13 @@ impl<'a> Simplifier<'a> {
             blocked_in: vec![0; 3 * surface.face_count()],
             changed_in: vec![0; vertices],
             live_faces: (0..surface.face_count() as u32).collect(),
-            open: Vec::new(),
+            unsorted: Vec::new(),
             bins: vec![0; (NO_KEY >> BIN_SHIFT) as usize + 1],
             candidates: Vec::new(),
             examined: Examined::new(vertices),
             star: Star::default(),
             ring: Vec::new(),
+            normals: Vec::new(),
             around: Vec::new(),
             surface,
         };
@@ -115,7 +122,7 @@ impl<'a> Simplifier<'a> {
     pub(crate) fn run(&mut self, progress: &mut dyn FnMut(f32)) {
         let faces = self.removed_by.len().max(1) as f32;
         for stage in &STAGES {
-            while self.pass(stage) {
+            while self.sweep(stage) {
                 progress(1.0 - self.live_faces.len() as f32 / faces);
             }
             self.renew_all_keys();
@@ -141,20 +148,27 @@ impl<'a> Simplifier<'a> {
         }
     }
 
-    /// One pass. False if there was no edge left to consider.
-    fn pass(&mut self, stage: &Stage) -> bool {
-        self.passes += 1;
-        let Some(limit) = self.gather_open() else { return false };
-        let open = std::mem::take(&mut self.open);
-        for block in open.chunks(BLOCK) {
-            self.sort_candidates(block, limit);
-            let candidates = std::mem::take(&mut self.candidates);
-            for &(key, h) in &candidates {
-                self.consider(key, h, limit, stage);
+    /// One sweep over the mesh. False if there was no edge left to consider.
+    fn sweep(&mut self, stage: &Stage) -> bool {
+        let Some(limit) = self.limit() else { return false };
+        let live_faces = std::mem::take(&mut self.live_faces);
+        for block in live_faces.chunks(BLOCK) {
+            for _ in 0..PASSES_PER_SWEEP {
+                self.passes += 1;
+                let before = self.collapses.len();
+                self.sort_candidates(block, limit);
+                let candidates = std::mem::take(&mut self.candidates);
+                for &(key, h) in &candidates {
+                    self.consider(key, h, limit, stage);
+                }
+                self.candidates = candidates;
+                if self.collapses.len() == before {
+                    break;
+                }
             }
-            self.candidates = candidates;
         }
-        self.open = open;
+        self.live_faces = live_faces;
+        self.sweeps += 1;
         true
     }
 
@@ -180,13 +194,13 @@ impl<'a> Simplifier<'a> {
         self.keys[h as usize] = key;
     }
 
-    /// Fills `open` with all edges that are not blocked, by half-edge. Returns the largest key among the cheapest share of
-    /// them, rounded up to a bin, or `None` if all edges are blocked.
-    fn gather_open(&mut self) -> Option<u32> {
+    /// Largest key among the cheapest share of the edges that are not blocked, rounded up to a bin; `None` if all are blocked.
+    /// Drops removed faces from the list, and renews the keys of blocked edges around which something has changed.
+    fn limit(&mut self) -> Option<u32> {
         self.bins.fill(0);
-        self.open.clear();
         let mut live_faces = std::mem::take(&mut self.live_faces);
         live_faces.retain(|&f| self.removed_by[f as usize] == NONE);
+        let mut open = 0;
         for &f in &live_faces {
             for h in 3 * f..3 * f + 3 {
                 let mut key = self.keys[h as usize];
@@ -201,43 +215,52 @@ impl<'a> Simplifier<'a> {
                     }
                     key = self.edge_key(h);
                     self.keys[h as usize] = key;
+                    if key & IS_BLOCKED != 0 {
+                        self.blocked_in[h as usize] = self.passes;
+                        continue;
+                    }
                 }
                 self.bins[(key >> BIN_SHIFT) as usize] += 1;
-                self.open.push((key, h));
+                open += 1;
             }
         }
         self.live_faces = live_faces;
-        let wanted = ((self.open.len() as f64 * SHARE) as usize).max(MIN_CANDIDATES).min(self.open.len());
+        let wanted = ((f64::from(open) * SHARE) as u32).max(MIN_CANDIDATES).min(open);
         let mut total = 0;
         let last = self.bins.iter().position(|&count| {
-            total += count as usize;
+            total += count;
             total >= wanted
         })?;
-        (!self.open.is_empty()).then(|| (last as u32) << BIN_SHIFT | ((1 << BIN_SHIFT) - 1))
+        (open > 0).then_some((last as u32) << BIN_SHIFT | ((1 << BIN_SHIFT) - 1))
     }
 
-    /// Fills `candidates` with the edges of `block` within the limit, cheaper bins first, by half-edge within a bin.
+    /// Fills `candidates` with the edges of some faces within the limit, cheaper bins first, by half-edge within a bin.
     ///
     /// Which of two far edges comes first makes no difference, so each block is sorted by itself: its part of the mesh stays
     /// in the cache while it is worked on.
-    fn sort_candidates(&mut self, block: &[(u32, u32)], limit: u32) {
+    fn sort_candidates(&mut self, faces: &[u32], limit: u32) {
         let last = (limit >> BIN_SHIFT) as usize;
         let bins = &mut self.bins[..=last];
         bins.fill(0);
-        let mut total = 0;
-        for &(key, _) in block.iter().filter(|&&(key, _)| key <= limit) {
-            bins[(key >> BIN_SHIFT) as usize] += 1;
-            total += 1;
+        self.unsorted.clear();
+        for &f in faces {
+            for h in 3 * f..3 * f + 3 {
+                let key = self.keys[h as usize];
+                if key <= limit && key & IS_BLOCKED == 0 {
+                    bins[(key >> BIN_SHIFT) as usize] += 1;
+                    self.unsorted.push((key, h));
+                }
+            }
         }
         let mut start = 0;
         for count in bins.iter_mut() {
             start += std::mem::replace(count, start);
         }
         self.candidates.clear();
-        self.candidates.resize(total, (NO_KEY, NONE));
-        for &(key, h) in block.iter().filter(|&&(key, _)| key <= limit) {
-            let place = &mut bins[(key >> BIN_SHIFT) as usize];
-            self.candidates[*place as usize] = (key, h);
+        self.candidates.resize(self.unsorted.len(), (NO_KEY, NONE));
+        for &candidate in &self.unsorted {
+            let place = &mut bins[(candidate.0 >> BIN_SHIFT) as usize];
+            self.candidates[*place as usize] = candidate;
             *place += 1;
         }
     }
@@ -249,7 +272,7 @@ impl<'a> Simplifier<'a> {
         if !self.examined.is_legal(&self.surface, self.points, site, weight, stage) {
             return Outcome::Illegal;
         }
-        let cost = self.cost(site.s, site.t) + self.examined.sliver;
+        let cost = self.costs(site.s, site.t)[0] + self.examined.sliver;
         let key = key_of(cost) | if keep_origin { 0 } else { KEEPS_TARGET };
         if key > limit {
             return Outcome::Postponed(key);
@@ -258,20 +281,21 @@ impl<'a> Simplifier<'a> {
         Outcome::Collapsed
     }
 
+    /// Costs of the edge between `a` and `b`: keeping the former, and keeping the latter.
     #[inline]
-    fn cost(&self, s: u32, t: u32) -> f64 {
-        let [ps, pt] = [s, t].map(|v| &self.points[v as usize]);
-        quadric::cost(self.quadrics[s as usize].c, &self.quadrics[t as usize], ps, pt)
+    fn costs(&self, a: u32, b: u32) -> [f64; 2] {
+        let [(pa, qa), (pb, qb)] = [a, b].map(|v| (&self.points[v as usize], &self.quadrics[v as usize]));
+        quadric::costs(pa, qa, pb, qb)
     }
 
     /// Key of the cheaper direction of an edge. A direction that takes a boundary vertex inside is no choice.
-    #[inline]
     fn edge_key(&self, h: u32) -> u32 {
         let (a, b) = (self.surface.origin(h), self.surface.target(h));
         let is_inner = self.surface.twin(h).is_some();
         let may_go = |v: u32| !(is_inner && self.points[v as usize].is_boundary);
-        let keep_origin = if may_go(b) { key_of(self.cost(a, b)) } else { NO_KEY };
-        let keep_target = if may_go(a) { key_of(self.cost(b, a)) | KEEPS_TARGET } else { NO_KEY };
+        let [keep_a, keep_b] = self.costs(a, b);
+        let keep_origin = if may_go(b) { key_of(keep_a) } else { NO_KEY };
+        let keep_target = if may_go(a) { key_of(keep_b) | KEEPS_TARGET } else { NO_KEY };
         match keep_origin.min(keep_target) {
             // Neither will do as long as the edge has two faces; it is looked at again when something changes.
             NO_KEY => key_of(0.0) | IS_BLOCKED,
@@ -284,12 +308,13 @@ impl<'a> Simplifier<'a> {
         let Site { s, t, left, right } = site;
         let op = self.collapses.len() as u32;
         let points = self.points;
-        let Self { surface, ring, examined, carried, .. } = self;
+        let Self { surface, ring, normals, examined, carried, .. } = self;
         ring.clear();
         ring.extend(examined.around.iter().map(|&v| points[v as usize].at()));
-        let removed = [left, right].into_iter().flatten().map(|h| face_normal(surface, points, h / 3));
-        let changed = examined.normals.iter().flat_map(|&(before, after)| [before, after]);
-        let region = bounds::merge(&carried[s as usize], &carried[t as usize], ring, changed.chain(removed));
+        normals.clear();
+        normals.extend(examined.normals.iter().flat_map(|&(before, after)| [before, after]));
+        normals.extend([left, right].into_iter().flatten().map(|h| face_normal(surface, points, h / 3)));
+        let region = bounds::merge(&carried[s as usize], &carried[t as usize], ring, normals);
 
         let outer = surface.collapse(site, &examined.arc);
         for h in [left, right].into_iter().flatten() {
@@ -302,7 +327,9 @@ impl<'a> Simplifier<'a> {
         self.quadrics[s as usize].absorb(&gone, ps.at() - pt.at());
         self.changed_in[s as usize] = self.passes;
         self.changed_in[t as usize] = self.passes;
-        self.gather_around(s);
+        let Self { surface, around, .. } = self;
+        around.clear();
+        surface.for_each_edge(s, |h, v| around.push((h, v)));
         self.star.reset(&ps, self.around.iter().map(|&(_, v)| points[v as usize]), !ps.is_boundary);
         for i in 0..self.around.len() {
             let (h, v) = self.around[i];
@@ -335,19 +362,6 @@ impl<'a> Simplifier<'a> {
         });
     }
 
-    /// Fills `around` with the edges at `s`, counter-clockwise, and the neighbours at their other ends.
-    fn gather_around(&mut self, s: u32) {
-        let Self { surface, around, .. } = self;
-        around.clear();
-        around.extend(surface.spokes(s).map(|h| (h, surface.target(h))));
-        if let Some(&(last, _)) = around.last() {
-            let incoming = prev(last);
-            if surface.twin(incoming).is_none() {
-                around.push((incoming, surface.origin(incoming)));
-            }
-        }
-    }
-
     fn renew_key(&mut self, h: u32) {
         let twin = self.surface.twin(h).unwrap_or(NONE);
         let own = h.min(twin);
@@ -367,11 +381,25 @@ fn face_normal(surface: &Surface, points: &[Point], face: u32) -> DVec3 {
     (b - a).cross(c - a)
 }
 
-/// What a vertex of the complete mesh carries: its one-ring.
-fn original(surface: &Surface, points: &[Point], v: u32) -> Carried {
-    let at = |v: u32| points[v as usize].at();
-    let last = surface.spokes(v).last().map(|h| at(surface.origin(prev(h))));
-    let ring = || surface.spokes(v).map(|h| at(surface.target(h)));
-    let normals = surface.spokes(v).map(|h| face_normal(surface, points, h / 3));
-    Carried::new(std::iter::once(at(v)).chain(ring()).chain(last), normals)
+/// What the vertices of the complete mesh carry: their one-rings.
+fn originals(surface: &Surface, points: &[Point]) -> Vec<Carried> {
+    let units: Vec<DVec3> = (0..surface.face_count() as u32)
+        .map(|face| {
+            let normal = face_normal(surface, points, face);
+            let length = normal.length();
+            if length > 0.0 { normal / length } else { DVec3::ZERO }
+        })
+        .collect();
+    let mut ring = Vec::new();
+    let mut normals = Vec::new();
+    (0..surface.vertex_count() as u32)
+        .map(|v| {
+            ring.clear();
+            normals.clear();
+            ring.push(points[v as usize].at());
+            surface.for_each_neighbor(v, |n| ring.push(points[n as usize].at()));
+            normals.extend(surface.spokes(v).map(|h| units[h as usize / 3]).filter(|&unit| unit != DVec3::ZERO));
+            Carried::new(&ring, &normals)
+        })
+        .collect()
 }

@@ -86,12 +86,14 @@ impl Examined {
                 1
             }
         };
-        for v in surface.neighbors(site.s) {
-            self.seen[v as usize] = self.tests;
-        }
-        self.around.clear();
-        self.around.extend(surface.neighbors(site.t));
-        let common = self.around.iter().filter(|&&v| self.seen[v as usize] == self.tests).count();
+        let Self { seen, tests, around, .. } = self;
+        surface.for_each_neighbor(site.s, |v| seen[v as usize] = *tests);
+        around.clear();
+        let mut common = 0;
+        surface.for_each_neighbor(site.t, |v| {
+            common += usize::from(seen[v as usize] == *tests);
+            around.push(v);
+        });
         common == usize::from(site.left.is_some()) + usize::from(site.right.is_some())
     }
 

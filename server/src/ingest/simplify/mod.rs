@@ -167,7 +167,7 @@ pub fn build(
         components: components.count(),
         boundary_vertices: points.iter().filter(|p| p.is_boundary).count(),
         is_open,
-        passes: simplifier.passes,
+        sweeps: simplifier.sweeps,
         splits,
         base_triangles: dag.base.faces.len(),
         base_vertices: dag.base.positions.len(),

@@ -101,16 +101,16 @@ pub(crate) fn initial(surface: &Surface, points: &[Point]) -> Vec<Quadric> {
     quadrics
 }
 
-/// Cost of collapsing `t` onto `s`, in lattice steps to the fourth (squared distance times area).
-///
-/// `quadric` is that of `t`, `kept` the value of that of `s` at `s`. The colour term is the deviation a colour difference
+/// Costs of an edge in both directions: keeping `a`, and keeping `b`; in lattice steps to the fourth (squared distance times
+/// area). Each is the value of both quadrics at the kept vertex, and a colour term: the deviation that the colour difference
 /// counts for, squared, over the area that would change colour.
 #[inline]
-pub(crate) fn cost(kept: f64, quadric: &Quadric, s: &Point, t: &Point) -> f64 {
-    let d = s.at() - t.at();
+pub(crate) fn costs(a: &Point, quadric_a: &Quadric, b: &Point, quadric_b: &Quadric) -> [f64; 2] {
+    let d = b.at() - a.at();
     let length_squared = d.length_squared();
-    let color = color_distance_squared(s.color, t.color) * (COLOR_WEIGHT * COLOR_WEIGHT);
-    kept + quadric.at(d) + length_squared * (color * quadric.weight + TIE_BREAK)
+    let color = color_distance_squared(a.color, b.color) * (COLOR_WEIGHT * COLOR_WEIGHT);
+    let extra = |gone: &Quadric| length_squared * (color * gone.weight + TIE_BREAK);
+    [quadric_a.c + quadric_b.at(-d) + extra(quadric_b), quadric_b.c + quadric_a.at(d) + extra(quadric_a)]
 }
 
 /// Squared Euclidean distance of two colours, as a share of full scale (black to white is 1).

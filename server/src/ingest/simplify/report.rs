@@ -19,8 +19,8 @@ pub struct BuildReport {
     pub boundary_vertices: usize,
     /// Whether facing-away tests are off.
     pub is_open: bool,
-    /// Passes of the batched order.
-    pub passes: u32,
+    /// Sweeps of the batched order.
+    pub sweeps: u32,
     /// Splits recorded.
     pub splits: usize,
     /// Triangles of the base: the smallest legal triangle limit.

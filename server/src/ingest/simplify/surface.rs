@@ -149,22 +149,28 @@ impl Surface {
         Spokes { surface: self, first, at: first }
     }
 
-    /// Neighbours of `v`, counter-clockwise, each once.
-    pub(crate) fn neighbors(&self, v: u32) -> impl Iterator<Item = u32> + '_ {
-        let mut last = NONE;
-        let mut spokes = self.spokes(v);
-        let mut done = false;
-        std::iter::from_fn(move || {
-            if let Some(h) = spokes.next() {
-                last = h;
-                return Some(self.target(h));
+    /// Calls `visit` for the neighbours of `v`, counter-clockwise, each once.
+    #[inline]
+    pub(crate) fn for_each_neighbor(&self, v: u32, mut visit: impl FnMut(u32)) {
+        self.for_each_edge(v, |_, neighbor| visit(neighbor));
+    }
+
+    /// Calls `visit` for the edges at `v`, counter-clockwise, each with the neighbour at its other end. The half-edge is the
+    /// one that leaves `v`, but for the last edge of an open fan, which only has the one that enters it.
+    #[inline]
+    pub(crate) fn for_each_edge(&self, v: u32, mut visit: impl FnMut(u32, u32)) {
+        let first = self.outs[v as usize];
+        let mut h = first;
+        while h != NONE {
+            visit(h, self.target(h));
+            let incoming = prev(h);
+            h = self.twins[incoming as usize];
+            if h == NONE {
+                visit(incoming, self.origin(incoming));
+            } else if h == first {
+                return;
             }
-            if done || last == NONE || self.twin(prev(last)).is_some() {
-                return None;
-            }
-            done = true;
-            Some(self.origin(prev(last)))
-        })
+        }
     }
 
     /// First spoke of the arc of `t`: the faces that go over to `s`, counter-clockwise from here to `f_l` or the boundary.

@@ -298,8 +298,18 @@ fn figures_of_real_meshes() {
     };
     for (name, mesh) in real_meshes() {
         let before = cpu();
-        let (_, report) = run(&mesh);
+        let (dag, report) = run(&mesh);
         let seconds = cpu() - before;
+        let extent = f64::from(dag.lattice.max_coordinate());
+        let over = [1e-2, 1e-3, 3e-4, 1e-4]
+            .map(|share| dag.splits.iter().filter(|s| f64::from(s.bounds.error.decode()) > share * extent).count());
+        let mean_radius = dag.splits.iter().map(|s| f64::from(s.bounds.radius.decode())).sum::<f64>()
+            / dag.splits.len().max(1) as f64
+            / extent;
+        let wide = dag.splits.iter().filter(|s| s.bounds.cone.wide().is_none()).count();
+        println!(
+            "{name}: splits over 1e-2, 1e-3, 3e-4, 1e-4 of the extent {over:?}, radius {mean_radius:.2e}, any {wide}"
+        );
         let rate = mesh.faces.len() as f64 / seconds * 1e-6;
         println!("{name}: {seconds:.3} s, {rate:.3} M tri/s; {}", serde_json::to_string(&report).unwrap());
     }
