@@ -6,4 +6,5 @@ pub mod meshes;
 pub mod model;
 pub mod naive;
 pub mod raster;
+pub mod screen_error;
 pub mod sim;

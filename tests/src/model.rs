@@ -30,7 +30,7 @@ impl TestModel {
     /// Cleans and builds `mesh` with so many lattice bits, or the default.
     pub fn new(mesh: TriMesh, bits: Option<u8>) -> Self {
         let (clean, _) = clean(mesh);
-        let options = BuildOptions { bits, ..BuildOptions::default() };
+        let options = BuildOptions { bits };
         let (dag, _) = build(&clean, &options, &mut |_| {}).expect("the mesh is clean");
         let positions: Vec<[i32; 3]> = clean.positions.iter().map(|&p| dag.lattice.quantize(p)).collect();
         let complete = CompleteMesh::of(&positions, clean.colors.as_deref(), &clean.faces);
