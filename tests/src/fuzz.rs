@@ -158,8 +158,7 @@ fn small_pack() -> Vec<u8> {
     use lodestream_server::ingest::clean::clean;
     use lodestream_server::ingest::simplify::{BuildOptions, build};
     let (mesh, _) = clean(meshes::many_components(6, 3));
-    let (dag, _) = build(&mesh, &BuildOptions { bits: Some(10) }, &mut |_| {})
-        .expect("the mesh is clean");
+    let (dag, _) = build(&mesh, &BuildOptions { bits: Some(10) }, &mut |_| {}).expect("the mesh is clean");
     let positions: Vec<[i32; 3]> = mesh.positions.iter().map(|&p| dag.lattice.quantize(p)).collect();
     let complete = CompleteMesh::of(&positions, None, &mesh.faces);
     write_to_vec(&dag, &complete, &Metadata::default()).expect("the model fits a pack")
