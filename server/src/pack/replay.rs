@@ -1,11 +1,11 @@
 //! Applies every record of a pack: what `verify` and `export` do.
 
-use lodestream_protocol::ids::{FaceSlot, VertexSlot};
 use lodestream_protocol::mesh::{Fan, NewVertex, Replica};
 
 use super::layout::Section;
-use super::record::{CutRef, NO_OP};
-use super::{PackError, PackedModel, damaged, resolve_cut};
+use super::place::Place;
+use super::record::NO_OP;
+use super::{PackError, PackedModel, damaged};
 use crate::mesh::TriMesh;
 
 /// Calls `visit` with each split and its parents ([`PackedModel::parents`]) such that parents come first, otherwise in the
@@ -76,48 +76,21 @@ pub fn replay(model: &PackedModel) -> Result<Replica, PackError> {
     parents_first(model, |op, _| {
         let split = model.split(op)?;
         let refuse = |reason: String| damaged(Section::OpPages, format!("split {op}: {reason}"));
-        let missing = || refuse("it refers to an element that its owner does not have".into());
-        let s = if split.tree_parent != NO_OP && split.tree_parent >= model.spawn_count() {
-            let t = VertexSlot(slot_of[split.tree_parent as usize]);
-            if split.s == 1 { t } else { replica.split_from(t).ok_or_else(missing)? }
-        } else {
-            let (spawn, vertex) = model.root_vertex(split.s)?;
-            VertexSlot(root_slot(&replica, &slot_of, spawn, vertex).ok_or_else(missing)?)
-        };
-        let face_slot = |cut: CutRef| -> Result<Option<(FaceSlot, u8)>, PackError> {
-            Ok(match cut {
-                CutRef::None => None,
-                CutRef::Split { op: owner, side, edge } => {
-                    Some((VertexSlot(slot_of[owner as usize]).faces()[usize::from(side & 1)], edge))
-                }
-                CutRef::Root { face, edge } => {
-                    let (spawn, face) = model.root_face(face)?;
-                    let owner = root_slot(&replica, &slot_of, spawn, face / 2).ok_or_else(missing)?;
-                    Some((FaceSlot(2 * owner + face % 2), edge))
-                }
-            })
-        };
-        let (left, right) = (face_slot(split.left)?, face_slot(split.right)?);
-        replica.fan(s, &mut fan).map_err(|e| refuse(e.to_string()))?;
-        let cut = resolve_cut(&replica, &fan, s, left, right).map_err(|e| refuse(e.to_string()))?;
+        let place =
+            Place::find(model, &replica, |op| Some(slot_of[op as usize]).filter(|&slot| slot != NO_OP), &split)?;
+        let place = place.ok_or_else(|| refuse("it refers to an element that its owner does not have".into()))?;
+        replica.fan(place.s, &mut fan).map_err(|e| refuse(e.to_string()))?;
+        let cut = place.cut(&replica, &fan).map_err(|e| refuse(e.to_string()))?;
         let vertex = NewVertex {
             position: split.position,
             color: split.color,
             s_move: split.s_move,
             s_color_move: split.s_color_move,
         };
-        slot_of[op as usize] = replica.split(s, &fan, cut, &vertex).map_err(|e| refuse(e.to_string()))?.0;
+        slot_of[op as usize] = replica.split(place.s, &fan, cut, &vertex).map_err(|e| refuse(e.to_string()))?.0;
         Ok(())
     })?;
     Ok(replica)
-}
-
-/// Slot number `index` of the base, where slots are numbered as they come, or of a spawn.
-fn root_slot(replica: &Replica, slot_of: &[u32], spawn: Option<u32>, index: u32) -> Option<u32> {
-    match spawn {
-        None => Some(index),
-        Some(spawn) => replica.spawn_slots(VertexSlot(slot_of[spawn as usize]))?.get(index as usize).copied(),
-    }
 }
 
 /// The complete mesh in model units: exactly the cleaned, lattice-rounded input up to order, which depends on the pack alone.
