@@ -14,7 +14,6 @@ const MIN_WINDOW: f64 = 4096.0;
 const EXTRA: Duration = Duration::from_millis(50);
 /// How long a rate or round-trip sample counts.
 const MEMORY: Duration = Duration::from_secs(10);
-const MAX_SAMPLES: usize = 64;
 
 #[derive(Clone, Copy, Debug)]
 struct Sent {
@@ -37,9 +36,13 @@ pub(crate) struct Pacer {
     in_flight_bytes: u64,
     delivered: u64,
     delivered_at: Timestamp,
-    /// Rate samples (bytes per second) and round trips, newest last.
+    /// Rates (bytes per second) of late, falling, and round trips (seconds), rising: the best first, each with those that
+    /// outlive it.
     rates: VecDeque<(Timestamp, f64)>,
-    round_trips: VecDeque<(Timestamp, Duration)>,
+    round_trips: VecDeque<(Timestamp, f64)>,
+    /// The shortest round trip is too old to trust: the window stays small until the link's queue is empty and a new
+    /// one can be measured (as BBR's PROBE_RTT does).
+    is_draining: bool,
     window: f64,
     /// Whether the window still doubles; ends when the rate stops growing with it.
     is_starting: bool,
@@ -61,6 +64,7 @@ impl Pacer {
             delivered_at: now,
             rates: VecDeque::new(),
             round_trips: VecDeque::new(),
+            is_draining: false,
             window: INITIAL_WINDOW,
             is_starting: true,
             best_rate_at_last_growth: 0.0,
@@ -124,19 +128,32 @@ impl Pacer {
             let round_trip = now.since(sent.at).max(Duration::from_micros(100));
             let elapsed = now.since(sent.delivered_at).max(Duration::from_micros(100));
             let rate = (self.delivered - sent.delivered) as f64 / elapsed.as_secs_f64();
-            remember(&mut self.rates, now, rate);
-            remember(&mut self.round_trips, now, round_trip);
+            remember(&mut self.rates, now, rate, |old, new| old <= new);
+            forget(&mut self.rates, now);
+            remember(&mut self.round_trips, now, round_trip.as_secs_f64(), |old, new| old >= new);
+            self.refresh_round_trip(now);
             self.adapt(sent);
         }
     }
 
     /// Shortest round trip of late, if one was measured.
     pub(crate) fn round_trip(&self) -> Option<Duration> {
-        self.round_trips.iter().map(|s| s.1).min()
+        self.round_trips.front().map(|s| Duration::from_secs_f64(s.1))
+    }
+
+    fn refresh_round_trip(&mut self, now: Timestamp) {
+        if self.is_draining {
+            if self.in_flight_bytes as f64 <= MIN_WINDOW {
+                self.is_draining = false;
+                forget(&mut self.round_trips, now);
+            }
+        } else if self.round_trips.front().is_some_and(|s| now.since(s.0) > MEMORY) {
+            self.is_draining = true;
+        }
     }
 
     fn adapt(&mut self, acked: Sent) {
-        let rate = self.rates.iter().map(|s| s.1).fold(0.0, f64::max);
+        let rate = self.rates.front().map_or(0.0, |s| s.1);
         let round_trip = self.round_trip().unwrap_or_default();
         if self.is_starting && acked.delivered >= self.round_ends_at {
             // Once a round trip: has the larger window brought a higher rate?
@@ -151,6 +168,9 @@ impl Pacer {
         }
         let target = rate * (round_trip + EXTRA).as_secs_f64();
         self.window = if self.is_starting { self.window.max(2.0 * target) } else { target };
+        if self.is_draining {
+            self.window = MIN_WINDOW;
+        }
         self.window = self.window.clamp(MIN_WINDOW, self.max_window);
     }
 
@@ -162,9 +182,17 @@ impl Pacer {
     }
 }
 
-fn remember<T: Copy>(samples: &mut VecDeque<(Timestamp, T)>, now: Timestamp, sample: T) {
+/// Appends a sample and drops those before it that it beats: they can never be the best again.
+fn remember(samples: &mut VecDeque<(Timestamp, f64)>, now: Timestamp, sample: f64, loses: impl Fn(f64, f64) -> bool) {
+    while samples.back().is_some_and(|s| loses(s.1, sample)) {
+        samples.pop_back();
+    }
     samples.push_back((now, sample));
-    while samples.len() > MAX_SAMPLES || samples.front().is_some_and(|s| now.since(s.0) > MEMORY) {
+}
+
+/// Drops samples that are too old, all but the last.
+fn forget(samples: &mut VecDeque<(Timestamp, f64)>, now: Timestamp) {
+    while samples.len() > 1 && samples.front().is_some_and(|s| now.since(s.0) > MEMORY) {
         samples.pop_front();
     }
 }
@@ -202,7 +230,7 @@ mod tests {
     #[test]
     fn the_window_settles_near_the_bandwidth_delay_product_and_fills_the_link() {
         for (rate, latency) in [(125_000.0, 0.05), (32_000.0, 0.05), (625_000.0, 0.1), (125_000.0, 0.005)] {
-            let (window, used) = steady_window(rate, latency, 8.0);
+            let (window, used) = steady_window(rate, latency, 28.0);
             let product = rate * (2.0 * latency + 0.05);
             assert!(window < 1.6 * product + 4096.0, "{rate} {latency}: {window} against {product}");
             assert!(used > 0.85 * rate, "{rate} {latency}: only {used} bytes per second");
