@@ -225,9 +225,12 @@ fn store_cone(normals: Normals, children: impl Iterator<Item = Cone>) -> Cone {
         count += 1;
     }
     let alone = Cone::cover(exact.axis, &parts[..1]);
-    let mut best = Cone::cover_about(alone.axis, &parts[..count]);
-    if best == alone {
-        return best;
+    if count == 1 {
+        return alone;
+    }
+    let mut best = Cone::cover_about(alone.axis, &parts[1..count]);
+    if best.half_angle <= alone.half_angle {
+        return alone;
     }
     // A child's rounding sticks out. About the child's own axis it may not, which is what keeps it from adding up.
     for axis in axes.into_iter().flatten() {

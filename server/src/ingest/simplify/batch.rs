@@ -37,9 +37,9 @@ const NO_KEY: u32 = u32::MAX;
 /// Keys per histogram bin, as a shift: three bits of mantissa remain.
 const BIN_SHIFT: u32 = 20;
 /// Faces whose edges are sorted together: few enough for what they touch to stay in the cache.
-const BLOCK: usize = 2048;
+const BLOCK: usize = 1024;
 /// Most passes over a block in a row, while it is in the cache.
-const PASSES_PER_SWEEP: u32 = 3;
+const PASSES_PER_SWEEP: u32 = 4;
 
 /// A mesh under simplification and what is carried with it.
 pub(crate) struct Simplifier<'a> {
@@ -202,8 +202,7 @@ impl<'a> Simplifier<'a> {
         live_faces.retain(|&f| self.removed_by[f as usize] == NONE);
         let mut open = 0;
         for &f in &live_faces {
-            for h in 3 * f..3 * f + 3 {
-                let mut key = self.keys[h as usize];
+            for (h, mut key) in (3 * f..).zip(three(&self.keys, f)) {
                 if key == NO_KEY {
                     continue;
                 }
@@ -244,8 +243,7 @@ impl<'a> Simplifier<'a> {
         bins.fill(0);
         self.unsorted.clear();
         for &f in faces {
-            for h in 3 * f..3 * f + 3 {
-                let key = self.keys[h as usize];
+            for (h, key) in (3 * f..).zip(three(&self.keys, f)) {
                 if key <= limit && key & IS_BLOCKED == 0 {
                     bins[(key >> BIN_SHIFT) as usize] += 1;
                     self.unsorted.push((key, h));
@@ -312,8 +310,13 @@ impl<'a> Simplifier<'a> {
         ring.clear();
         ring.extend(examined.around.iter().map(|&v| points[v as usize].at()));
         normals.clear();
-        normals.extend(examined.normals.iter().flat_map(|&(before, after)| [before, after]));
-        normals.extend([left, right].into_iter().flatten().map(|h| face_normal(surface, points, h / 3)));
+        for &(before, after) in &examined.normals {
+            normals.push(before);
+            normals.push(after);
+        }
+        for h in [left, right].into_iter().flatten() {
+            normals.push(face_normal(surface, points, h / 3));
+        }
         let region = bounds::merge(&carried[s as usize], &carried[t as usize], ring, normals);
 
         let outer = surface.collapse(site, &examined.arc);
@@ -370,6 +373,14 @@ impl<'a> Simplifier<'a> {
             self.keys[h.max(twin) as usize] = NO_KEY;
         }
     }
+}
+
+/// The entries of a face's half-edges.
+#[inline]
+fn three(keys: &[u32], face: u32) -> [u32; 3] {
+    let h = 3 * face as usize;
+    let keys = &keys[h..h + 3];
+    [keys[0], keys[1], keys[2]]
 }
 
 fn key_of(cost: f64) -> u32 {

@@ -19,21 +19,23 @@ pub(crate) fn choose(mesh: &TriMesh, bits: Option<u8>) -> Result<Lattice, BuildE
     if let Some(bits) = bits {
         return Ok(Lattice::of_box(min, max, bits));
     }
-    let mut lengths: Vec<f64> = Vec::with_capacity(3 * mesh.faces.len());
+    let mut lengths: Vec<f32> = Vec::with_capacity(3 * mesh.faces.len());
+    let mut sum = 0.0;
     for corners in &mesh.faces {
         for k in 0..3 {
             let [a, b] = [corners[k], corners[(k + 1) % 3]].map(|v| DVec3::from_array(mesh.positions[v as usize]));
             let length = a.distance(b);
             if length > 0.0 {
-                lengths.push(length);
+                lengths.push(length as f32);
+                sum += length;
             }
         }
     }
     let mut bits = MIN_DEFAULT_BITS;
     if !lengths.is_empty() {
-        let mean = lengths.iter().sum::<f64>() / lengths.len() as f64;
+        let mean = sum / lengths.len() as f64;
         let rank = lengths.len() / 100;
-        let percentile = *lengths.select_nth_unstable_by(rank, f64::total_cmp).1;
+        let percentile = f64::from(*lengths.select_nth_unstable_by(rank, f32::total_cmp).1);
         let step = (mean / 16.0).min(percentile / 2.0);
         while bits < MAX_LATTICE_BITS && Lattice::of_box(min, max, bits).step > step {
             bits += 1;

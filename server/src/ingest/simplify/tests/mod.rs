@@ -7,7 +7,7 @@ use std::path::Path;
 
 use self::{
     meshes::*,
-    oracle::{Replay, parents, sorted},
+    oracle::{Replay, Vertex, parents, sorted},
 };
 use super::{BuildError, BuildOptions, BuildReport, build};
 use crate::{
@@ -79,8 +79,31 @@ fn check(name: &str, mesh: &TriMesh, orders: u64) -> (Dag, BuildReport) {
         }
         replay.check_twins();
         assert!(replay.triangles() == expected, "{name}: order {seed} does not give the input back");
+        if seed == 0 {
+            contains_regions(name, &dag, &replay);
+        }
     }
     (dag, report)
+}
+
+/// The complete mesh around both ends of a split lies in its sphere, and the normals there in its cone.
+fn contains_regions(name: &str, dag: &Dag, complete: &Replay) {
+    let stars = complete.stars();
+    for (op, split) in (dag.spawns.len() as u32..).zip(&dag.splits) {
+        for end in [Vertex::Of(op), Replay::vertex_s(dag, split)] {
+            for face in &stars[&end] {
+                contains_points(name, &split.bounds, face);
+                let [a, b, c] = face.map(|p| glam::DVec3::from_array(p.map(f64::from)));
+                let normal = (b - a).cross(c - a);
+                if let Some(cone) = split.bounds.cone.wide().filter(|_| normal.length() > 0.0) {
+                    assert!(
+                        cone.axis.dot(normal / normal.length()) >= cone.cos - 1e-9,
+                        "{name}: a normal outside its cone"
+                    );
+                }
+            }
+        }
+    }
 }
 
 fn contains_points(name: &str, bounds: &Bounds, points: &[[i32; 3]]) {

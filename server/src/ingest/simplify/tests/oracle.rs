@@ -130,7 +130,7 @@ impl Replay {
     pub(super) fn split(&mut self, dag: &Dag, op: u32) {
         let spawns = dag.spawns.len() as u32;
         let record = &dag.splits[(op - spawns) as usize];
-        let s = self.vertex_s(dag, record);
+        let s = Self::vertex_s(dag, record);
         let t = Vertex::Of(op);
         self.positions.insert(t, record.position);
         self.colors.insert(t, record.color);
@@ -191,7 +191,8 @@ impl Replay {
         Some(leaving)
     }
 
-    fn vertex_s(&self, dag: &Dag, record: &SplitRecord) -> Vertex {
+    /// The vertex that a split splits.
+    pub(super) fn vertex_s(dag: &Dag, record: &SplitRecord) -> Vertex {
         let spawns = dag.spawns.len() as u32;
         let mut record = record;
         loop {
@@ -209,6 +210,17 @@ impl Replay {
     /// The mesh as a sorted multiset of oriented triangles of (position, colour).
     pub(super) fn triangles(&self) -> Vec<[([i32; 3], [u8; 3]); 3]> {
         sorted(self.corners.values().map(|corners| corners.map(|v| (self.positions[&v], self.colors[&v]))))
+    }
+
+    /// The faces around each vertex, as positions.
+    pub(super) fn stars(&self) -> HashMap<Vertex, Vec<[[i32; 3]; 3]>> {
+        let mut stars: HashMap<Vertex, Vec<_>> = HashMap::new();
+        for corners in self.corners.values() {
+            for v in corners {
+                stars.entry(*v).or_default().push(corners.map(|v| self.positions[&v]));
+            }
+        }
+        stars
     }
 
     /// Panics unless twins agree about their ends, the other way round.
