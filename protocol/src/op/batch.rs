@@ -425,7 +425,7 @@ fn guess_cut(fan: &Fan, left: VertexSlot, right: VertexSlot) -> Option<Cut> {
 /// Encodes one batch while applying it to this end's state.
 ///
 /// Call order: [`collapse_round`](Self::collapse_round) until the round is empty or no candidates are left, then
-/// [`spawn`](Self::spawn) in ascending id order, then [`split_round`](Self::split_round) and one [`split`](Self::split) per
+/// [`spawns`](Self::spawns) in ascending id order, then [`split_round`](Self::split_round) and one [`split`](Self::split) per
 /// member, likewise until empty, then [`finish`](Self::finish).
 pub struct BatchEncoder<'a> {
     rounds: Rounds<'a, Encoder>,
