@@ -1,5 +1,5 @@
 //! What tests of both ends share: generated [`meshes`], models built from them ([`model`]), dull twins ([`naive`]), virtual
-//! links ([`sim`]), fuzz targets ([`fuzz`]) and a CPU rasteriser ([`raster`]) as the oracle for pictures.
+//! links ([`sim`]), real binaries ([`server_process`]), fuzz targets ([`fuzz`]) and a CPU rasteriser ([`raster`]) as the oracle for pictures.
 
 pub mod fuzz;
 pub mod meshes;
@@ -7,4 +7,5 @@ pub mod model;
 pub mod naive;
 pub mod raster;
 pub mod screen_error;
+pub mod server_process;
 pub mod sim;

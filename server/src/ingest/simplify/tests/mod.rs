@@ -10,10 +10,8 @@ use self::{
     oracle::{Replay, Vertex, parents, sorted},
 };
 use super::{BuildError, BuildOptions, BuildReport, build};
-use crate::{
-    mesh::TriMesh,
-    pack::record::{Bounds, CutRef, Dag, NO_OP},
-};
+use crate::mesh::TriMesh;
+use crate::pack::record::{Bounds, CutRef, Dag, NO_OP};
 
 fn run(mesh: &TriMesh) -> (Dag, BuildReport) {
     build(mesh, &BuildOptions::default(), &mut |_| {}).unwrap()
