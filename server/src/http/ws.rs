@@ -215,19 +215,19 @@ fn reason(end: &SessionEnd) -> Utf8Bytes {
     text.into()
 }
 
-/// One line for each session: a peer's fault is a warning, bad data and our bugs are errors.
+/// One line for each session: a peer's fault is a warning, bad data and our bugs are errors. Totals are left out where a
+/// session was interrupted within a slice, which still has them.
 fn log_end(SessionReport { end, stats }: &SessionReport) {
     let code = end.code() as u16;
-    let stats = stats.unwrap_or_default();
     macro_rules! log {
         ($level:ident) => {
             tracing::$level!(
                 code,
-                bytes_sent = stats.bytes_sent,
-                batches = stats.batches,
-                splits = stats.splits,
-                collapses = stats.collapses,
-                views = stats.views,
+                bytes_sent = stats.map(|stats| stats.bytes_sent),
+                batches = stats.map(|stats| stats.batches),
+                splits = stats.map(|stats| stats.splits),
+                collapses = stats.map(|stats| stats.collapses),
+                views = stats.map(|stats| stats.views),
                 "session ends: {end}"
             )
         };
