@@ -112,8 +112,14 @@ impl Models for RepositoryModels {
         let unknown = || OpenError::Unknown(id.into());
         let model = self.repository.get(&id.parse().map_err(|_| unknown())?).map_err(|error| match error {
             RepositoryError::NotFound(_) => unknown(),
-            other => OpenError::Unusable { id: id.into(), reason: other.to_string() },
+            other => OpenError::Unusable { id: id.into(), reason: with_causes(&other) },
         })?;
         Ok(Box::new(Session::new(model, self.session)))
     }
+}
+
+/// An error and what caused it: the section that is damaged stands at the end of the chain.
+fn with_causes(error: &dyn std::error::Error) -> String {
+    let causes = std::iter::successors(Some(error), |error| error.source());
+    causes.map(ToString::to_string).collect::<Vec<_>>().join(": ")
 }
