@@ -9,9 +9,11 @@ use lodestream_client::core::{ClientConfig, ClientSession};
 use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
 use lodestream_protocol::wire;
+use lodestream_server::ingest::ingest;
 use lodestream_server::ingest::read::{read_obj, read_ply};
+use lodestream_server::ingest::simplify::BuildOptions;
 use lodestream_server::mesh::export::{PlyOptions, write_obj, write_ply};
-use lodestream_server::pack::{self, CompleteMesh, Metadata, PackedModel, write_to_vec};
+use lodestream_server::pack::{self, Metadata, PackedModel, write_to_vec};
 use lodestream_server::session::{Session, SessionConfig};
 
 use crate::meshes;
@@ -155,13 +157,9 @@ fn server_case(rng: &mut Rng, models: &[Arc<PackedModel>; 2], sessions: &[Vec<Ve
 }
 
 fn small_pack() -> Vec<u8> {
-    use lodestream_server::ingest::clean::clean;
-    use lodestream_server::ingest::simplify::{BuildOptions, build};
-    let (mesh, _) = clean(meshes::many_components(6, 3));
-    let (dag, _) = build(&mesh, &BuildOptions { bits: Some(10) }, &mut |_| {}).expect("the mesh is clean");
-    let positions: Vec<[i32; 3]> = mesh.positions.iter().map(|&p| dag.lattice.quantize(p)).collect();
-    let complete = CompleteMesh::of(&positions, None, &mesh.faces);
-    write_to_vec(&dag, &complete, &Metadata::default()).expect("the model fits a pack")
+    let options = BuildOptions { bits: Some(10) };
+    let done = ingest(meshes::many_components(6, 3), &options, &mut |_| {}).expect("the mesh can be built");
+    write_to_vec(&done.dag, &done.complete, &Metadata::default()).expect("the model fits a pack")
 }
 
 fn pack_case(rng: &mut Rng, bytes: &[u8]) {
