@@ -1,10 +1,16 @@
 //! From a mesh file to a vertex-split DAG: read, clean, simplify, hierarchy; beside them the generated [`sample`].
 
+#[allow(dead_code)]
+pub(crate) mod chunks;
 pub mod clean;
 pub mod hierarchy;
+#[allow(dead_code)]
+pub mod raw;
 pub mod read;
 pub mod sample;
 pub mod simplify;
+#[allow(dead_code)]
+pub mod spill;
 
 use self::clean::CleanReport;
 use self::simplify::{BuildError, BuildOptions, BuildReport, Progress, build};

@@ -11,7 +11,7 @@ use crate::pack::record::{Bounds, Cone, CutRef, Dag, Magnitude, NO_OP, Patch, Sp
 
 /// A finished simplification.
 #[derive(Debug)]
-pub(crate) struct Simplified<'a> {
+pub(crate) struct InCore<'a> {
     pub(crate) lattice: Lattice,
     pub(crate) has_colors: bool,
     pub(crate) is_open: bool,
@@ -39,7 +39,7 @@ pub(crate) struct Shape {
 }
 
 /// Builds the records. O(n log n) in the collapses, for their final order.
-pub(crate) fn assemble(simplified: &Simplified) -> (Dag, Shape) {
+pub(crate) fn assemble(simplified: &InCore) -> (Dag, Shape) {
     let roots = Roots::new(simplified);
     let tree = Tree::new(simplified);
     let order = tree.order(simplified);
@@ -55,7 +55,7 @@ pub(crate) fn assemble(simplified: &Simplified) -> (Dag, Shape) {
     let spawns =
         roots.spawns.iter().map(|&(component, bounds)| SpawnRecord { bounds, patch: converter.patch(&[component]) });
     let spawns = spawns.collect();
-    let Simplified { lattice, has_colors, is_open, .. } = *simplified;
+    let InCore { lattice, has_colors, is_open, .. } = *simplified;
     (Dag { lattice, has_colors, is_open, base, spawns, splits }, shape)
 }
 
@@ -77,7 +77,7 @@ struct Roots {
 }
 
 impl Roots {
-    fn new(simplified: &Simplified) -> Self {
+    fn new(simplified: &InCore) -> Self {
         let components = simplified.components;
         let mut faces_of = vec![Vec::new(); components.count()];
         let mut vertices_of = vec![Vec::new(); components.count()];
@@ -130,7 +130,7 @@ impl Roots {
 }
 
 /// Bounds of a whole component. Its error is the diagonal of its box: without it, that much is missing.
-fn spawn_bounds(simplified: &Simplified, component: u32, faces: &[u32], vertices: &[u32]) -> Bounds {
+fn spawn_bounds(simplified: &InCore, component: u32, faces: &[u32], vertices: &[u32]) -> Bounds {
     let (low, high) = simplified.components.boxes[component as usize];
     let center = (low + high) * 0.5;
     let face_normals: Vec<_> = faces
@@ -165,7 +165,7 @@ struct Tree {
 }
 
 impl Tree {
-    fn new(simplified: &Simplified) -> Self {
+    fn new(simplified: &InCore) -> Self {
         let mut parents = vec![(NONE, 0); simplified.collapses.len()];
         for (op, collapse) in simplified.collapses.iter().enumerate() {
             for (child, role) in [(collapse.next_of_s, 0), (collapse.first_of_t, 1)] {
@@ -180,7 +180,7 @@ impl Tree {
     /// The collapses in the order of their final ids: by error band descending, then by where the band's topmost ancestor
     /// lies, then in the order of refinement. A parent precedes its children: it has no smaller error, and within a band both
     /// have the same topmost ancestor.
-    fn order(&self, simplified: &Simplified) -> Vec<u32> {
+    fn order(&self, simplified: &InCore) -> Vec<u32> {
         let collapses = simplified.collapses;
         let mut codes = vec![0u64; collapses.len()];
         let mut keys = Vec::with_capacity(collapses.len());
@@ -219,7 +219,7 @@ pub(crate) fn morton(at: [i32; 3], max: i32) -> u64 {
 }
 
 struct Converter<'a> {
-    simplified: &'a Simplified<'a>,
+    simplified: &'a InCore<'a>,
     roots: &'a Roots,
     tree: &'a Tree,
     /// Final id of each collapse.

@@ -26,7 +26,7 @@ use self::{batch::Simplifier, surface::Surface};
 use super::hierarchy::{
     Point,
     components::Components,
-    forest::{Simplified, assemble},
+    forest::{InCore, assemble},
 };
 use crate::{mesh::TriMesh, pack::record::Dag};
 
@@ -140,7 +140,7 @@ pub fn build(
     timings.simplify = simplified_at - timings.prepare - timings.initialize;
 
     tell(BuildStage::Assemble, 0.0);
-    let (dag, shape) = assemble(&Simplified {
+    let (dag, shape) = assemble(&InCore {
         lattice,
         has_colors,
         is_open,
