@@ -4,13 +4,15 @@
 //! stored spheres of its children, so it contains them as decoded; since it is not made from the children's rounded
 //! spheres alone, rounding does not pile up along the forest (Southern 2001, section 5.1.1).
 
+use bytemuck::{Pod, Zeroable};
 use glam::DVec3;
 
 use super::NONE;
 use crate::pack::record::{Bounds, Cone, Magnitude, WideCone};
 
 /// A sphere in lattice steps.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[repr(C)]
 pub(crate) struct Sphere {
     pub(crate) center: DVec3,
     pub(crate) radius: f64,
@@ -34,7 +36,7 @@ impl Sphere {
     }
 
     /// Smallest sphere around two.
-    fn union(self, other: Self) -> Self {
+    pub(crate) fn union(self, other: Self) -> Self {
         let between = other.center - self.center;
         let distance = between.length();
         if distance + other.radius <= self.radius {
@@ -183,6 +185,14 @@ impl Carried {
     pub(crate) fn new(ring: &[DVec3], units: &[DVec3]) -> Self {
         let stored = Bounds { center: [0; 3], radius: Magnitude(0), error: Magnitude(0), cone: Cone::ANY };
         Self { sphere: Sphere::around(ring), normals: Normals::of_units(units), last: NONE, stored }
+    }
+
+    /// An original vertex, from two parts of its surroundings.
+    pub(crate) fn joined(&self, other: &Self) -> Self {
+        debug_assert!(self.last == NONE && other.last == NONE);
+        let Sphere { center, radius } = self.sphere.union(other.sphere);
+        let sphere = Sphere { center, radius: radius * ROUNDING };
+        Self { sphere, normals: self.normals.union(other.normals), ..self.clone() }
     }
 
     /// Bounds of the last collapse, as stored.
