@@ -252,6 +252,32 @@ fn store_cone(normals: Normals, children: impl Iterator<Item = Cone>) -> Cone {
     best
 }
 
+/// Bounds of a whole component in this box, as stored: they contain those of the last collapses of its root vertices, which
+/// come with all normals of what became part of them. Its error is the diagonal of its box: without it, that much is missing.
+pub(crate) fn whole_component(
+    (low, high): (DVec3, DVec3),
+    face_normals: &[DVec3],
+    vertices: &[(Normals, Option<Bounds>)],
+) -> Bounds {
+    let center = (low + high) * 0.5;
+    let mut normals = Normals::Nothing;
+    normals.add(face_normals);
+    for &(carried, _) in vertices {
+        normals = normals.union(carried);
+    }
+    let sphere = Sphere { center, radius: center.distance(high) };
+    let mut bounds = store(sphere, normals, low.distance(high), &[]);
+    for child in vertices.iter().filter_map(|(_, child)| child.as_ref()) {
+        bounds.radius = bounds.radius.max(Magnitude::encode_up(child.reach_from(bounds.center_f64())));
+        bounds.error = bounds.error.max(child.error);
+        bounds.cone = match (bounds.cone.wide(), child.cone.wide()) {
+            (Some(own), Some(part)) => Cone::cover_about(bounds.cone.axis, &[own, part]),
+            _ => Cone::ANY,
+        };
+    }
+    bounds
+}
+
 /// Merges what `t` carries into what `s` carries. `ring` is the one-ring of `t` before the collapse, `normals` those of the
 /// faces that change, before and after. Returns the exact union; the caller stores it with an error.
 pub(crate) fn merge(s: &Carried, t: &Carried, ring: &[DVec3], normals: &[DVec3]) -> (Sphere, Normals) {

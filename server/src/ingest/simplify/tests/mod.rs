@@ -1,5 +1,6 @@
 //! Properties of whole builds. [`oracle`] replays the records independently, [`meshes`] makes the inputs.
 
+mod assembly;
 mod chunked;
 mod meshes;
 mod oracle;
