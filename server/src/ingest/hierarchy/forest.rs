@@ -15,6 +15,7 @@ pub(crate) struct InCore<'a> {
     pub(crate) lattice: Lattice,
     pub(crate) has_colors: bool,
     pub(crate) is_open: bool,
+    /// Per vertex, where it was when it went or is now.
     pub(crate) points: &'a [Point],
     pub(crate) components: &'a Components,
     /// Faces that are left: number in the complete mesh, ascending, and corners in their own order.
@@ -145,7 +146,9 @@ fn spawn_bounds(simplified: &InCore, component: u32, faces: &[u32], vertices: &[
     for &v in vertices {
         normals = normals.union(simplified.carried[v as usize].normals);
     }
-    let sphere = Sphere { center, radius: center.distance(high) };
+    // Vertices that have moved may lie outside the box.
+    let reach = vertices.iter().map(|&v| center.distance(simplified.points[v as usize].at()));
+    let sphere = Sphere { center, radius: reach.fold(center.distance(high), f64::max) };
     let mut bounds = store(sphere, normals, low.distance(high), &[]);
     for child in vertices.iter().filter_map(|&v| simplified.carried[v as usize].child()) {
         bounds.radius = bounds.radius.max(Magnitude::encode_up(child.reach_from(bounds.center_f64())));
@@ -249,8 +252,8 @@ impl Converter<'_> {
             first_of_t: id(collapse.first_of_t),
             position: point.position,
             color: point.color,
-            s_move: [0; 3],
-            s_color_move: [0; 3],
+            s_move: collapse.s_move,
+            s_color_move: collapse.s_color_move,
         }
     }
 

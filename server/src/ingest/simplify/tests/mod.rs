@@ -9,17 +9,31 @@ use self::{
     meshes::*,
     oracle::{Replay, Vertex, parents, sorted},
 };
-use super::{BuildError, BuildOptions, BuildReport, build};
+use super::{BuildError, BuildOptions, BuildReport, PlacementChoice, build};
 use crate::mesh::TriMesh;
 use crate::pack::record::{Bounds, CutRef, Dag, NO_OP};
 
 fn run(mesh: &TriMesh) -> (Dag, BuildReport) {
-    build(mesh, &BuildOptions::default(), &mut |_| {}).unwrap()
+    run_with(mesh, PlacementChoice::default())
 }
 
-/// Everything that must hold for any clean mesh. `orders`: how many random legal orders to replay.
+fn run_with(mesh: &TriMesh, placement: PlacementChoice) -> (Dag, BuildReport) {
+    build(mesh, &BuildOptions { placement, ..BuildOptions::default() }, &mut |_| {}).unwrap()
+}
+
+/// Everything that must hold for any clean mesh, in all placements; returns what the default one made. `orders`: how many random
+/// legal orders to replay.
 fn check(name: &str, mesh: &TriMesh, orders: u64) -> (Dag, BuildReport) {
-    let (dag, report) = run(mesh);
+    for placement in PlacementChoice::ALL {
+        if placement != PlacementChoice::default() {
+            check_with(&format!("{name}, {placement:?}"), mesh, orders, placement);
+        }
+    }
+    check_with(name, mesh, orders, PlacementChoice::default())
+}
+
+fn check_with(name: &str, mesh: &TriMesh, orders: u64, placement: PlacementChoice) -> (Dag, BuildReport) {
+    let (dag, report) = run_with(mesh, placement);
     let spawns = dag.spawns.len();
     let splits = || (spawns as u32..).zip(&dag.splits);
     assert_eq!(report.splits, dag.splits.len(), "{name}");
@@ -70,6 +84,8 @@ fn check(name: &str, mesh: &TriMesh, orders: u64) -> (Dag, BuildReport) {
         let mut replay = Replay::roots(&dag);
         let half = order.len() / 2;
         for (i, &op) in order.iter().enumerate() {
+            let split = &dag.splits[op as usize - spawns];
+            contains_points(name, &split.bounds, &[replay.position(Replay::vertex_s(&dag, split))]);
             replay.split(&dag, op);
             if i == half {
                 replay.check_twins();
@@ -251,7 +267,9 @@ fn colour_edges_count_as_errors() {
 #[test]
 fn builds_repeat() {
     let mesh = striped(noisy(sieve(20), 0.3, 6), 3.0);
-    assert!(run(&mesh).0 == run(&mesh).0);
+    for placement in PlacementChoice::ALL {
+        assert!(run_with(&mesh, placement).0 == run_with(&mesh, placement).0);
+    }
 }
 
 #[test]
@@ -268,7 +286,8 @@ fn unclean_meshes_are_refused() {
     let mesh = TriMesh { positions: vec![[f64::NAN; 3]], ..TriMesh::default() };
     let error = build(&mesh, &BuildOptions::default(), &mut |_| {}).unwrap_err();
     assert_eq!(error, BuildError::NotFinite { vertex: 0 });
-    let error = build(&triangle(), &BuildOptions { bits: Some(22) }, &mut |_| {}).unwrap_err();
+    let error =
+        build(&triangle(), &BuildOptions { bits: Some(22), ..BuildOptions::default() }, &mut |_| {}).unwrap_err();
     assert_eq!(error, BuildError::Bits(22));
 }
 
