@@ -252,22 +252,24 @@ fn store_cone(normals: Normals, children: impl Iterator<Item = Cone>) -> Cone {
     best
 }
 
-/// Bounds of a whole component in this box, as stored: they contain those of the last collapses of its root vertices, which
-/// come with all normals of what became part of them. Its error is the diagonal of its box: without it, that much is missing.
+/// Bounds of a whole component whose complete mesh lies in this box, as stored: they contain its root vertices, which may have
+/// moved out of the box, and the bounds of their last collapses. They come with all normals of what became part of them. Its error is the diagonal of its box: without it, that much is missing.
 pub(crate) fn whole_component(
     (low, high): (DVec3, DVec3),
     face_normals: &[DVec3],
-    vertices: &[(Normals, Option<Bounds>)],
+    vertices: &[(DVec3, Normals, Option<Bounds>)],
 ) -> Bounds {
     let center = (low + high) * 0.5;
     let mut normals = Normals::Nothing;
     normals.add(face_normals);
-    for &(carried, _) in vertices {
+    let mut radius = center.distance(high);
+    for &(at, carried, _) in vertices {
         normals = normals.union(carried);
+        radius = radius.max(center.distance(at));
     }
-    let sphere = Sphere { center, radius: center.distance(high) };
+    let sphere = Sphere { center, radius };
     let mut bounds = store(sphere, normals, low.distance(high), &[]);
-    for child in vertices.iter().filter_map(|(_, child)| child.as_ref()) {
+    for child in vertices.iter().filter_map(|(.., child)| child.as_ref()) {
         bounds.radius = bounds.radius.max(Magnitude::encode_up(child.reach_from(bounds.center_f64())));
         bounds.error = bounds.error.max(child.error);
         bounds.cone = match (bounds.cone.wide(), child.cone.wide()) {

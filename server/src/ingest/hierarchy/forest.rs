@@ -18,6 +18,7 @@ pub(crate) struct InCore<'a> {
     pub(crate) lattice: Lattice,
     pub(crate) has_colors: bool,
     pub(crate) is_open: bool,
+    /// Per vertex, where it was when it went or is now.
     pub(crate) points: &'a [Point],
     pub(crate) components: &'a Components,
     /// Faces that are left: number in the complete mesh, ascending, and corners in their own order.
@@ -131,8 +132,8 @@ fn spawn_bounds(simplified: &InCore, component: u32, faces: &[u32], vertices: &[
         .collect();
     let vertices: Vec<_> = vertices
         .iter()
-        .map(|&v| &simplified.carried[v as usize])
-        .map(|carried| (carried.normals, carried.child().copied()))
+        .map(|&v| (&simplified.points[v as usize], &simplified.carried[v as usize]))
+        .map(|(point, carried)| (point.at(), carried.normals, carried.child().copied()))
         .collect();
     whole_component(simplified.components.boxes[component as usize], &face_normals, &vertices)
 }
@@ -210,8 +211,8 @@ impl Converter<'_> {
             first_of_t: id(collapse.first_of_t),
             position: point.position,
             color: point.color,
-            s_move: [0; 3],
-            s_color_move: [0; 3],
+            s_move: collapse.s_move,
+            s_color_move: collapse.s_color_move,
         }
     }
 

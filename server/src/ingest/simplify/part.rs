@@ -4,7 +4,7 @@ use bytemuck::{Pod, Zeroable};
 use glam::DVec3;
 
 use super::{
-    batch::{Simplifier, State, originals},
+    batch::{Mover, Simplifier, State, originals},
     quadric::{self, Quadric},
     surface::Surface,
 };
@@ -96,8 +96,6 @@ pub(super) struct Simplified {
 pub(super) struct Part {
     /// Numbers of the vertices, ascending.
     vertices: Vec<u32>,
-    points: Vec<Point>,
-    is_locked: Vec<bool>,
     /// Component of each vertex.
     components: Vec<u32>,
     /// Numbers of the faces.
@@ -128,12 +126,13 @@ impl Part {
         let mut quadrics = quadric::of_faces(&surface, &points);
         add_borders(&mut quadrics, &surface, &points, &heights, 0);
         let state = State {
+            is_locked: heights.iter().map(|&h| h > 0).collect(),
             quadrics,
             carried: originals(&surface, &points),
             samples: Samples::new(points.len(), mesh.has_colors),
+            points,
         };
-        let is_locked = heights.iter().map(|&h| h > 0).collect();
-        Ok(Self { vertices, points, is_locked, components, face_numbers, surface, state })
+        Ok(Self { vertices, components, face_numbers, surface, state })
     }
 
     /// The part of an inner node of this height, from what is left of its children, in their order.
@@ -149,20 +148,22 @@ impl Part {
         order.sort_unstable();
         let vertices = localize(&mut faces);
         let count = vertices.len();
-        let mut points = Vec::with_capacity(count);
+        let heights: Vec<u8> = vertices.iter().map(|&v| mesh.vertices.height(v)).collect();
         let mut components = Vec::with_capacity(count);
         let mut state = State {
+            points: Vec::with_capacity(count),
+            is_locked: heights.iter().map(|&h| h > height).collect(),
             quadrics: Vec::with_capacity(count),
             carried: Vec::with_capacity(count),
             samples: Samples::new(count, mesh.has_colors),
         };
         let mut own_samples = Vec::new();
         for copies in order.chunk_by(|a, b| a.0 == b.0) {
-            let v = points.len() as u32;
+            let v = state.points.len() as u32;
             debug_assert_eq!(vertices[v as usize], copies[0].0);
             let (_, i, first_sample) = copies[0];
             let survivor = &mut survivors[i as usize];
-            points.push(Point {
+            state.points.push(Point {
                 position: survivor.position,
                 color: survivor.color,
                 is_boundary: mesh.vertices.is_boundary(copies[0].0),
@@ -182,13 +183,11 @@ impl Part {
             state.quadrics.push(quadric);
             state.carried.push(carried);
         }
-        assert_eq!(points.len(), count, "each survivor has a face");
+        assert_eq!(state.points.len(), count, "each survivor has a face");
         drop(survivors);
-        let heights: Vec<u8> = vertices.iter().map(|&v| mesh.vertices.height(v)).collect();
         let surface = surface_of(count, &faces);
-        add_borders(&mut state.quadrics, &surface, &points, &heights, height);
-        let is_locked = heights.iter().map(|&h| h > height).collect();
-        Self { vertices, points, is_locked, components, face_numbers, surface, state }
+        add_borders(&mut state.quadrics, &surface, &state.points, &heights, height);
+        Self { vertices, components, face_numbers, surface, state }
     }
 
     /// Simplifies the part at this height: components that lie inside it to the end, the others to an eighth of their faces.
@@ -197,15 +196,16 @@ impl Part {
         self,
         mesh: &ChunkedMesh,
         height: u8,
+        mover: Option<Mover>,
         first_op: u32,
         progress: &mut dyn FnMut(u64),
     ) -> Simplified {
-        let Self { vertices, points, is_locked, components, face_numbers, surface, state } = self;
+        let Self { vertices, components, face_numbers, surface, state } = self;
         let is_finished = |component: u32| mesh.components.components[component as usize].height <= height;
         let component_of = |surface: &Surface, face: u32| components[surface.corners(face)[0] as usize];
         let (inside, across): (Vec<u32>, Vec<u32>) =
             (0..face_numbers.len() as u32).partition(|&face| is_finished(component_of(&surface, face)));
-        let mut simplifier = Simplifier::new(surface, &points, &is_locked, state, first_op);
+        let mut simplifier = Simplifier::new(surface, state, mover, first_op);
         let mut tell = Countdown { told: 0, progress };
         if !across.is_empty() {
             let target = across.len() / SHARE_LEFT;
@@ -226,13 +226,15 @@ impl Part {
             .collapses
             .iter()
             .map(|collapse| {
-                let Collapse { s, t, left, right, outer, next_of_s, first_of_t, bounds } = *collapse;
-                let gone = &points[t as usize];
+                let Collapse { s, t, left, right, outer, next_of_s, first_of_t, s_move, s_color_move, bounds } =
+                    *collapse;
+                let gone = &simplifier.points[t as usize];
                 let mut record = CollapseRecord::zeroed().with_bounds(bounds);
                 (record.s, record.t) = (vertices[s as usize], vertices[t as usize]);
                 (record.left, record.right, record.outer) = (global(left), global(right), outer.map(global));
                 (record.next_of_s, record.first_of_t) = (next_of_s, first_of_t);
                 (record.position, record.color) = (gone.position, gone.color);
+                (record.s_move, record.s_color_move) = (s_move, s_color_move);
                 record
             })
             .collect();
@@ -262,7 +264,7 @@ impl Part {
             if simplifier.surface.valence(v) == 0 {
                 continue;
             }
-            let (point, component) = (&points[v as usize], components[v as usize]);
+            let (point, component) = (&simplifier.points[v as usize], components[v as usize]);
             let carried = &simplifier.carried[v as usize];
             if is_finished(component) {
                 result.root_vertices.push(RootVertex {

@@ -6,6 +6,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use super::batch::Mover;
 use super::part::{Part, Remainder, Sample, Simplified as Done, Survivor};
 use crate::ingest::{
     chunks::{ChunkedMesh, FAN_IN},
@@ -27,6 +28,7 @@ pub(crate) struct Figures {
 /// faces that are gone, from any thread.
 pub(crate) fn simplify(
     mesh: &ChunkedMesh,
+    mover: Option<Mover>,
     workspace: &Workspace,
     threads: u32,
     progress: &(dyn Fn(f32) + Sync),
@@ -53,7 +55,7 @@ pub(crate) fn simplify(
                 None => Part::leaf(mesh, node)?,
                 Some(below) => Part::join(mesh, height, below.children_of(node)?),
             };
-            Ok(part.simplify(mesh, height, first_op, &mut |gone| tell(gone)))
+            Ok(part.simplify(mesh, height, mover, first_op, &mut |gone| tell(gone)))
         };
         in_order(nodes, threads, work, |_, done| {
             let remainder = output.take(done?, first_op)?;

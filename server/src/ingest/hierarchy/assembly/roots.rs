@@ -110,7 +110,12 @@ impl Roots {
                 normals.push((b - a).cross(c - a));
             }
             let carried = vertices_of.of(component).iter().map(|&place| &vertices[place as usize]);
-            let carried: Vec<_> = carried.map(|v| (v.normals, (v.last != NONE).then_some(v.stored))).collect();
+            let carried: Vec<_> = carried
+                .map(|v| {
+                    let at = DVec3::from_array(v.position.map(f64::from));
+                    (at, v.normals, (v.last != NONE).then_some(v.stored))
+                })
+                .collect();
             spawns.push((component, whole_component(boxes[component as usize], &normals, &carried)));
         }
         spawns.sort_by_key(|&(_, bounds)| Reverse(bounds.error));

@@ -32,15 +32,14 @@ fn simplify<T>(mesh: &TriMesh, go_on: impl FnOnce(&InCore, CompleteMesh) -> T) -
     let positions: Vec<[i32; 3]> = points.iter().map(|p| p.position).collect();
     let colors: Vec<[u8; 3]> = points.iter().map(|p| p.color).collect();
     let complete = CompleteMesh::of(&positions, has_colors.then_some(&colors[..]), &faces);
-    let is_locked = vec![false; points.len()];
-    let state = State::of_originals(&surface, &points, has_colors);
-    let mut simplifier = Simplifier::new(surface, &points, &is_locked, state, 0);
+    let state = State::of_originals(&surface, points, has_colors);
+    let mut simplifier = Simplifier::new(surface, state, None, 0);
     simplifier.run(&mut |_| {});
     let done = InCore {
         lattice,
         has_colors,
         is_open,
-        points: &points,
+        points: &simplifier.points,
         components: &components,
         root_faces: &simplifier.root_faces(),
         collapses: &simplifier.collapses,

@@ -1,6 +1,6 @@
 //! Builds by way of chunks: a dull partition in memory, the real simplification, and assembly in memory.
 
-use super::super::{BuildOptions, lattice, surface::Surface, tree};
+use super::super::{BuildOptions, PlacementChoice, batch::Mover, lattice, surface::Surface, tree};
 use crate::ingest::chunks::{ChunkedMesh, Component, ComponentTable, VertexTable, height_of, pack, patches, place};
 use crate::ingest::hierarchy::{
     Collapse, NONE, Point, Simplified,
@@ -81,16 +81,20 @@ pub(super) fn chunked(mesh: &TriMesh, max_faces: usize, workspace: &Workspace) -
 }
 
 /// A DAG by way of chunks of at most `max_faces` faces.
-pub(super) fn build(mesh: &TriMesh, max_faces: usize, threads: u32) -> Dag {
+pub(super) fn build(mesh: &TriMesh, max_faces: usize, threads: u32, placement: PlacementChoice) -> Dag {
     let workspace = Workspace::in_memory();
     let mesh = chunked(mesh, max_faces, &workspace);
-    let (simplified, _) = tree::simplify(&mesh, &workspace, threads, &|_| {}).unwrap();
+    let max_coordinate = mesh.lattice.max_coordinate();
+    let mover = placement.rule().map(|rule| Mover { rule, max_coordinate });
+    let (simplified, _) = tree::simplify(&mesh, mover, &workspace, threads, &|_| {}).unwrap();
     in_core(&mesh, &simplified)
 }
 
 fn in_core(mesh: &ChunkedMesh, simplified: &Simplified) -> Dag {
     let faces = mesh.faces.read(0..mesh.faces.len()).unwrap();
-    let points: Vec<Point> = (0..mesh.vertices.len() as u32).map(|v| mesh.vertices.point(v)).collect();
+    // Where vertices are at the end, or were when they went.
+    let mut points: Vec<Point> = (0..mesh.vertices.len() as u32).map(|v| mesh.vertices.point(v)).collect();
+    let components = Components::new(&points, &faces);
     let mut removed_by = vec![NONE; faces.len()];
     let mut carried = vec![Carried::new(&[], &[]); points.len()];
     let records = simplified.collapses.read(0..simplified.collapses.len()).unwrap();
@@ -100,7 +104,8 @@ fn in_core(mesh: &ChunkedMesh, simplified: &Simplified) -> Dag {
             for h in [r.left, r.right].into_iter().filter(|&h| h != NONE) {
                 assert_eq!(std::mem::replace(&mut removed_by[h as usize / 3], op), NONE, "a face goes once");
             }
-            assert_eq!(r.position, points[r.t as usize].position);
+            let gone = &mut points[r.t as usize];
+            (gone.position, gone.color) = (r.position, r.color);
             assert!([r.next_of_s, r.first_of_t].into_iter().all(|child| child == NONE || child < op));
             Collapse {
                 s: r.s,
@@ -110,6 +115,8 @@ fn in_core(mesh: &ChunkedMesh, simplified: &Simplified) -> Dag {
                 outer: r.outer,
                 next_of_s: r.next_of_s,
                 first_of_t: r.first_of_t,
+                s_move: r.s_move,
+                s_color_move: r.s_color_move,
                 bounds: r.bounds(),
             }
         })
@@ -117,6 +124,8 @@ fn in_core(mesh: &ChunkedMesh, simplified: &Simplified) -> Dag {
     for root in &simplified.root_vertices {
         let of_vertex = &mut carried[root.vertex as usize];
         (of_vertex.last, of_vertex.normals, of_vertex.stored) = (root.last, root.normals, root.stored);
+        let left = &mut points[root.vertex as usize];
+        (left.position, left.color) = (root.position, root.color);
     }
     let root_faces: Vec<(u32, [u32; 3])> = simplified.root_faces.iter().map(|f| (f.face, f.corners)).collect();
     assert_eq!(root_faces.len() + removed_by.iter().filter(|&&op| op != NONE).count(), faces.len());
@@ -125,7 +134,7 @@ fn in_core(mesh: &ChunkedMesh, simplified: &Simplified) -> Dag {
         has_colors: mesh.has_colors,
         is_open: mesh.is_open,
         points: &points,
-        components: &Components::new(&points, &faces),
+        components: &components,
         root_faces: &root_faces,
         collapses: &collapses,
         carried: &carried,
