@@ -5,6 +5,8 @@ pub(crate) mod chunks;
 pub mod clean;
 pub mod hierarchy;
 #[allow(dead_code)]
+pub(crate) mod partition;
+#[allow(dead_code)]
 pub mod raw;
 pub mod read;
 pub mod sample;

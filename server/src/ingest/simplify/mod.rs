@@ -9,7 +9,7 @@
 
 mod batch;
 mod constraint;
-mod lattice;
+pub(super) mod lattice;
 mod order;
 mod quadric;
 mod report;
