@@ -6,6 +6,8 @@ pub mod clean;
 pub mod hierarchy;
 mod in_order;
 #[allow(dead_code)]
+pub(crate) mod partition;
+#[allow(dead_code)]
 pub mod raw;
 pub mod read;
 pub mod sample;

@@ -17,19 +17,19 @@ mod tests;
 
 /// What [`resolve`] did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Resolved {
+pub(crate) struct Resolved {
     /// Edges that had more than two faces.
-    pub(super) non_manifold_edges: u64,
+    pub(crate) non_manifold_edges: u64,
     /// Faces that lost their neighbours at such an edge.
-    pub(super) cut_sides: u64,
+    pub(crate) cut_sides: u64,
     /// Edges of two faces that cannot agree on a side, cut.
-    pub(super) one_sided_edges: u64,
+    pub(crate) one_sided_edges: u64,
     /// Edges whose ends could not tell two sheets apart, joined differently or cut.
-    pub(super) double_edges: u64,
+    pub(crate) double_edges: u64,
     /// Vertices that had several fans.
-    pub(super) split_vertices: u64,
+    pub(crate) split_vertices: u64,
     /// Copies that they got.
-    pub(super) copies: u64,
+    pub(crate) copies: u64,
 }
 
 /// Copies vertices until each directed edge occurs at most once and each vertex has a single fan.
@@ -38,6 +38,13 @@ pub(super) struct Resolved {
 /// the flattest first; what is left over is cut. `edges` is the table of `mesh`, whose faces have three different
 /// corners each, none the same as another. Copies follow the old vertices in the order of their faces. O(n log n).
 pub(super) fn resolve(mesh: &mut TriMesh, edges: &EdgeTable) -> Resolved {
+    resolve_some(mesh, edges, None)
+}
+
+/// [`resolve`] for a part of a mesh: only vertices for which `is_whole` holds, which must have all their faces here, are
+/// copied. If they are all that the whole mesh would have copied, and vertices and faces are in the same order, the result is
+/// that of the whole mesh.
+pub(crate) fn resolve_some(mesh: &mut TriMesh, edges: &EdgeTable, is_whole: Option<&[bool]>) -> Resolved {
     let mut resolved = Resolved::default();
     let mut pairing = Pairing::new(mesh.faces.len());
     // Edges with two half-edges in one direction: only they can come out of this with a directed edge twice.
@@ -61,13 +68,13 @@ pub(super) fn resolve(mesh: &mut TriMesh, edges: &EdgeTable) -> Resolved {
             }
         }
     }
-    let mut fans = Fans::new(mesh, &pairing);
+    let mut fans = Fans::new(mesh, &pairing, is_whole);
     let separated = separate_double_edges(edges, &crowded, &fans, &mut pairing);
     resolved.double_edges = separated.len() as u64;
     if resolved.double_edges > 0 {
-        fans = Fans::new(mesh, &pairing);
+        fans = Fans::new(mesh, &pairing, is_whole);
         if rejoin(mesh, &separated, &fans, &mut pairing) > 0 {
-            fans = Fans::new(mesh, &pairing);
+            fans = Fans::new(mesh, &pairing, is_whole);
         }
     }
     resolved.copies = fans.copied.len() as u64;
@@ -217,8 +224,9 @@ struct Fans {
 }
 
 impl Fans {
-    /// Walks around every vertex, from corner to corner across paired half-edges. Linear.
-    fn new(mesh: &TriMesh, pairing: &Pairing) -> Self {
+    /// Walks around every vertex, from corner to corner across paired half-edges. Linear. A vertex that is not whole keeps all
+    /// its corners.
+    fn new(mesh: &TriMesh, pairing: &Pairing, is_whole: Option<&[bool]>) -> Self {
         let corner_count = mesh.faces.len() as u32 * 3;
         let mut is_visited = vec![false; corner_count as usize];
         let mut has_fan = vec![false; mesh.positions.len()];
@@ -232,7 +240,8 @@ impl Fans {
                 first = other;
             }
             let old = origin(&mesh.faces, corner);
-            let vertex = if has_fan[old as usize] {
+            let may_copy = is_whole.is_none_or(|is_whole| is_whole[old as usize]);
+            let vertex = if has_fan[old as usize] && may_copy {
                 fans.copied.push(old);
                 let copy = mesh.positions.len() + fans.copied.len() - 1;
                 u32::try_from(copy).expect("no more vertices than corners, which u32 counts")

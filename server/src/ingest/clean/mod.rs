@@ -15,8 +15,8 @@ use crate::mesh::edges::EdgeTable;
 
 mod components;
 mod degenerate;
-mod manifold;
-mod orient;
+pub(crate) mod manifold;
+pub(crate) mod orient;
 mod weld;
 
 pub use components::components;

@@ -25,6 +25,8 @@ pub(super) fn orient(mesh: &mut TriMesh, edges: &EdgeTable) -> u64 {
         across[b as usize] = a;
     }
 
+    let (low, high) = mesh.bounding_box().unwrap_or_default();
+    let units = AreaUnits::of_box(low, high);
     // Whether each visited face is turned, relative to the first of its patch.
     let mut turned: Vec<Option<bool>> = vec![None; faces.len()];
     let mut queue: Vec<u32> = Vec::with_capacity(faces.len());
@@ -34,13 +36,14 @@ pub(super) fn orient(mesh: &mut TriMesh, edges: &EdgeTable) -> u64 {
         }
         let start = queue.len();
         let mut head = start;
-        let mut areas = [0.0_f64; 2];
+        let mut areas = [0_u128; 2];
         turned[seed as usize] = Some(false);
         queue.push(seed);
         while let Some(&face) = queue.get(head) {
             head += 1;
             let is_turned = turned[face as usize] == Some(true);
-            areas[usize::from(is_turned)] += double_area(mesh, face);
+            let corners = mesh.faces[face as usize].map(|v| DVec3::from(mesh.positions[v as usize]));
+            areas[usize::from(is_turned)] += u128::from(units.double_area(corners));
             for half_edge in 3 * face..3 * face + 3 {
                 let other = across[half_edge as usize];
                 let neighbor = &mut turned[other as usize / 3];
@@ -64,9 +67,26 @@ pub(super) fn orient(mesh: &mut TriMesh, edges: &EdgeTable) -> u64 {
     count
 }
 
-fn double_area(mesh: &TriMesh, face: u32) -> f64 {
-    let [a, b, c] = mesh.faces[face as usize].map(|v| DVec3::from(mesh.positions[v as usize]));
-    (b - a).cross(c - a).length()
+/// Areas in whole numbers: their sum does not depend on the order of the faces, so neither do ties.
+pub(crate) struct AreaUnits {
+    /// Inverse of the longest side of the box; 0 for a box so large or small that it has none.
+    scale: f64,
+}
+
+impl AreaUnits {
+    /// 2^60 for the square of the longest side of the box. What is too small for that counts as nothing.
+    pub(crate) fn of_box(low: [f64; 3], high: [f64; 3]) -> Self {
+        let extent = (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max);
+        let scale = 1.0 / extent;
+        Self { scale: if scale.is_normal() { scale } else { 0.0 } }
+    }
+
+    /// Twice the area of a triangle in the box: at most 3 * 2^60.
+    pub(crate) fn double_area(&self, [a, b, c]: [DVec3; 3]) -> u64 {
+        let length = ((b - a) * self.scale).cross((c - a) * self.scale).length();
+        // `as` takes what is no number, from differences without end, to 0.
+        (length * (1_u64 << 60) as f64) as u64
+    }
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use super::BuildError;
 use crate::{ingest::hierarchy::Point, mesh::TriMesh};
 
 /// Fewest bits that are chosen without being asked for.
-const MIN_DEFAULT_BITS: u8 = 12;
+pub(crate) const MIN_DEFAULT_BITS: u8 = 12;
 
 /// The lattice of `mesh`: `bits` if given, else the fewest for which a step is at most 1/16 of the mean edge and half the
 /// 1st-percentile edge (edges of zero length left out), within 12 to 21 bits.

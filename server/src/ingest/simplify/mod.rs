@@ -11,7 +11,7 @@
 
 mod batch;
 mod constraint;
-mod lattice;
+pub(super) mod lattice;
 mod order;
 mod part;
 mod placement;
