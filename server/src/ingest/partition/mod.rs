@@ -34,6 +34,8 @@ use lodestream_protocol::quant::{Lattice, MAX_LATTICE_BITS, MIN_LATTICE_BITS};
 use self::bits::Bits;
 use self::faces::{Face, Ranges};
 use self::lattice::EdgeLengths;
+#[cfg(test)]
+pub(crate) use self::lattice::MIN_DEFAULT_BITS;
 use self::runs::{Runs, in_order};
 use self::scan::Extent;
 use self::stars::Stars;
@@ -78,7 +80,7 @@ impl Default for Limits {
 /// Why a mesh was not partitioned.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub(crate) enum PartitionError {
+pub enum PartitionError {
     /// Temporary data could not be kept.
     #[error(transparent)]
     Spill(#[from] SpillError),

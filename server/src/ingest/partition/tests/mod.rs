@@ -14,7 +14,7 @@ use crate::ingest::hierarchy::forest::morton;
 use crate::ingest::simplify::lattice::{choose, round};
 use crate::mesh::TriMesh;
 use crate::mesh::audit::audit;
-use crate::mesh::edges::{EdgeTable, origin};
+use crate::mesh::edges::EdgeTable;
 use crate::pack::CompleteMesh;
 
 /// Few enough for a mesh of a few hundred faces to have chunks of chunks.
@@ -171,7 +171,7 @@ fn is_open(mesh: &TriMesh) -> bool {
 fn check_twin(input: &TriMesh, bits: Option<u8>, (mesh, report): &(ChunkedMesh, CleanReport)) {
     let (cleaned, expected_report) = clean(input.clone());
     assert_eq!(*report, expected_report, "{report}\n{expected_report}");
-    let lattice = choose(&cleaned, bits).unwrap();
+    let lattice = choose(&cleaned, bits);
     assert_eq!(mesh.lattice, lattice);
     let rounded: Vec<[i32; 3]> = round(&cleaned, &lattice).iter().map(|point| point.position).collect();
     assert_eq!(mesh.complete, CompleteMesh::of(&rounded, cleaned.colors.as_deref(), &cleaned.faces));

@@ -4,7 +4,8 @@ use std::io::Cursor;
 use std::path::Path;
 
 use super::super::batch::{Simplifier, State};
-use super::super::{is_open, lattice, order, surface::Surface};
+use super::super::{lattice, order, surface::Surface};
+use super::in_core::is_open;
 use super::{meshes::*, real_meshes};
 use crate::ingest::hierarchy::assembly::{Assembled, Grain, Model, assemble, assemble_by, tests::spilled};
 use crate::ingest::hierarchy::components::Components;
@@ -20,7 +21,7 @@ const SMALL: Grain = Grain { keys: 50, collapses: 37, bucket: 256 };
 
 /// Simplifies in memory and hands over what there is then.
 fn simplify<T>(mesh: &TriMesh, go_on: impl FnOnce(&InCore, CompleteMesh) -> T) -> T {
-    let lattice = lattice::choose(mesh, None).unwrap();
+    let lattice = lattice::choose(mesh, None);
     let (mut points, faces) = order::by_place(&lattice::round(mesh, &lattice), &mesh.faces, lattice.bits);
     let surface = Surface::new(points.len(), &faces).unwrap();
     for (v, point) in (0..).zip(&mut points) {
