@@ -14,7 +14,7 @@ use crate::ingest::hierarchy::forest::morton;
 use crate::ingest::simplify::lattice::{choose, round};
 use crate::mesh::TriMesh;
 use crate::mesh::audit::audit;
-use crate::mesh::edges::{EdgeTable, origin};
+use crate::mesh::edges::EdgeTable;
 use crate::pack::CompleteMesh;
 
 /// Few enough for a mesh of a few hundred faces to have chunks of chunks.
@@ -480,4 +480,39 @@ fn real_meshes_are_what_they_are_in_memory() {
             }
         }
     }
+}
+
+/// Partitions the file that `LODESTREAM_PLY` names with spills in files, and prints time and memory.
+#[test]
+#[ignore = "prints figures, proves nothing"]
+fn figures() {
+    let Some(path) = std::env::var_os("LODESTREAM_PLY") else { return };
+    let workspace = Workspace::new(&std::env::temp_dir(), 0);
+    let raw = {
+        let (mesh, _) = crate::ingest::read::read_mesh(Path::new(&path)).unwrap();
+        RawMesh::of(&mesh, &workspace).unwrap()
+    };
+    // Linux starts the peak anew; elsewhere it is not known.
+    let _ = std::fs::write("/proc/self/clear_refs", "5");
+    let status = |what: &str| {
+        let text = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+        text.lines().find(|line| line.starts_with(what)).unwrap_or_default().to_owned()
+    };
+    // User and system time of all threads, in hundredths of a second.
+    let cpu = || {
+        let text = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+        let times = text.split(' ').skip(13).take(2).map(|ticks| ticks.parse::<u64>().unwrap_or(0));
+        times.collect::<Vec<_>>()
+    };
+    println!("before: {} {:?}", status("VmRSS"), cpu());
+    let (start, mut last) = (std::time::Instant::now(), 0.0);
+    let (mesh, report) = partition(raw, &PartitionOptions::default(), &workspace, &mut |done| {
+        if done - last >= 0.05 {
+            last = done;
+            println!("{:3.0} % {:?} {:?} {}", done * 100.0, start.elapsed(), cpu(), status("VmHWM"));
+        }
+    })
+    .unwrap();
+    println!("{:?} {:?} {} {}\n{report}", start.elapsed(), cpu(), status("VmHWM"), status("VmRSS"));
+    println!("{} chunks, {} bits", mesh.chunk_count(), mesh.lattice.bits);
 }
