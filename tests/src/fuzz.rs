@@ -157,7 +157,7 @@ fn server_case(rng: &mut Rng, models: &[Arc<PackedModel>; 2], sessions: &[Vec<Ve
 }
 
 fn small_pack() -> Vec<u8> {
-    let options = BuildOptions { bits: Some(10) };
+    let options = BuildOptions { bits: Some(10), ..BuildOptions::default() };
     let done = ingest(meshes::many_components(6, 3), &options, &mut |_| {}).expect("the mesh can be built");
     write_to_vec(&done.dag, &done.complete, &Metadata::default()).expect("the model fits a pack")
 }

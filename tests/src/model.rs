@@ -29,9 +29,13 @@ pub fn canonical(triangle: LatticeTriangle) -> LatticeTriangle {
 impl TestModel {
     /// Cleans and builds `mesh` with so many lattice bits, or the default.
     pub fn new(mesh: TriMesh, bits: Option<u8>) -> Self {
+        Self::with_options(mesh, &BuildOptions { bits, ..BuildOptions::default() })
+    }
+
+    /// Cleans and builds `mesh`.
+    pub fn with_options(mesh: TriMesh, options: &BuildOptions) -> Self {
         let (clean, _) = clean(mesh);
-        let options = BuildOptions { bits };
-        let (dag, _) = build(&clean, &options, &mut |_| {}).expect("the mesh is clean");
+        let (dag, _) = build(&clean, options, &mut |_| {}).expect("the mesh is clean");
         let positions: Vec<[i32; 3]> = clean.positions.iter().map(|&p| dag.lattice.quantize(p)).collect();
         let complete = CompleteMesh::of(&positions, clean.colors.as_deref(), &clean.faces);
         let bytes = write_to_vec(&dag, &complete, &Metadata::default()).expect("the model fits a pack");

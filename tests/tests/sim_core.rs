@@ -8,6 +8,7 @@ use glam::DVec3;
 use lodestream_protocol::message::ModelInfo;
 use lodestream_protocol::testing::check_replica;
 use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
+use lodestream_server::ingest::simplify::{BuildOptions, PlacementChoice};
 use lodestream_server::mesh::TriMesh;
 use lodestream_tests::meshes;
 use lodestream_tests::model::TestModel;
@@ -39,6 +40,16 @@ fn every_topology() -> Vec<(&'static str, TriMesh)> {
     ]
 }
 
+/// Every generated mesh in every placement.
+fn every_model(bits: Option<u8>) -> impl Iterator<Item = (String, TestModel)> {
+    every_topology().into_iter().flat_map(move |(name, mesh)| {
+        PlacementChoice::ALL.map(|placement| {
+            let model = TestModel::with_options(mesh.clone(), &BuildOptions { bits, placement });
+            (format!("{name}, {placement:?}"), model)
+        })
+    })
+}
+
 /// A view of the model from a random place, near or far, with a random tolerance.
 fn random_view(rng: &mut Rng, info: &ModelInfo) -> View {
     let corner = |q| DVec3::from_array(info.lattice.position(q));
@@ -61,8 +72,7 @@ fn random_view(rng: &mut Rng, info: &ModelInfo) -> View {
 
 #[test]
 fn complete_refinement_is_the_input() {
-    for (name, mesh) in every_topology() {
-        let test = TestModel::new(mesh, None);
+    for (name, test) in every_model(None) {
         let (_, triangles) = CompleteMesh::new(&test.model);
         assert_eq!(triangles, test.expected_triangles(), "{name}");
     }
@@ -72,8 +82,7 @@ fn complete_refinement_is_the_input() {
 /// exactly when no applied op has it as a parent.
 #[test]
 fn the_mesh_is_a_function_of_the_applied_set() {
-    for (name, mesh) in every_topology() {
-        let test = TestModel::new(mesh, Some(12));
+    for (name, test) in every_model(Some(12)) {
         let model = &*test.model;
         let (complete, _) = CompleteMesh::new(model);
         for seed in 0..3 {
@@ -109,8 +118,7 @@ fn the_mesh_is_a_function_of_the_applied_set() {
 /// the same; the limit holds after every op.
 #[test]
 fn sessions_settle_on_what_the_view_asks_for() {
-    for (name, mesh) in every_topology() {
-        let test = TestModel::new(mesh, Some(13));
+    for (name, test) in every_model(Some(13)) {
         let model = &test.model;
         let (complete, _) = CompleteMesh::new(model);
         for seed in 0..3 {

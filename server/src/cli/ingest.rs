@@ -10,7 +10,7 @@ use super::UsageError;
 use super::choice::{Choice, parse};
 use super::progress::ProgressLine;
 use crate::ingest::read::read_mesh;
-use crate::ingest::simplify::{BuildOptions, BuildStage, Progress};
+use crate::ingest::simplify::{BuildOptions, BuildStage, PlacementChoice, Progress};
 use crate::ingest::{DEFAULT_CREASE_ANGLE_DEG, ingest};
 use crate::mesh::TriMesh;
 use crate::pack::{self, Metadata};
@@ -87,7 +87,7 @@ pub fn run(args: IngestArgs) -> anyhow::Result<()> {
             read_report: serde_json::to_value(&read)?,
             ..Metadata::default()
         };
-        let options = BuildOptions { bits: args.bits };
+        let options = BuildOptions { bits: args.bits, placement: args.placement.into() };
         let report = publish(&repository, id, mesh, metadata, &options, &mut progress)
             .with_context(|| format!("cannot ingest {}", file.display()))?;
         drop(progress);
@@ -229,8 +229,25 @@ choice! {
     /// Where the vertex that a collapse leaves lies.
     Placement,
     /// At one of the two ends.
-    "endpoint" => Endpoint;
-    later "midpoint", "subset", "optimal"
+    "endpoint" => Endpoint,
+    /// In the middle.
+    "midpoint" => Midpoint,
+    /// At an end or in the middle, whichever is cheapest.
+    "subset" => Subset,
+    /// Where the quadric is least.
+    "optimal" => Optimal;
+    later
+}
+
+impl From<Placement> for PlacementChoice {
+    fn from(placement: Placement) -> Self {
+        match placement {
+            Placement::Endpoint => Self::Endpoint,
+            Placement::Midpoint => Self::Midpoint,
+            Placement::Subset => Self::Subset,
+            Placement::Optimal => Self::Optimal,
+        }
+    }
 }
 
 choice! {
@@ -290,7 +307,7 @@ mod tests {
 
     #[test]
     fn what_is_not_available_is_refused() {
-        assert!(args("a.ply --repository r --placement optimal").unwrap_err().contains("not available yet"));
+        assert!(args("a.ply --repository r --metric hybrid").unwrap_err().contains("not available yet"));
         assert!(args("a.ply --repository r --bits 22").is_err());
         assert!(args("a.ply").is_err() && args("--repository r").is_err());
     }

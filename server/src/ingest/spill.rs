@@ -263,6 +263,9 @@ mod tests {
             let spill = writer.finish().unwrap();
             assert_eq!(spill.len(), 300_000);
             assert_eq!(spill.read(250_000..300_000).unwrap(), items[250_000..]);
+            let mut pieces = spill.read(7..9).unwrap();
+            spill.append_to(100..102, &mut pieces).unwrap();
+            assert_eq!(pieces, [items[7], items[8], items[100], items[101]]);
             let mut all = Vec::new();
             spill
                 .for_each_block(|at, block| {

@@ -194,6 +194,11 @@ struct Block {
     samples: [Point; MAX_SAMPLES],
 }
 
+impl Block {
+    const EMPTY: Self =
+        Self { count: 0, samples: [Point { position: [0; 3], color: [0; 3], is_boundary: false }; MAX_SAMPLES] };
+}
+
 impl Samples {
     pub(crate) fn new(vertex_count: usize, has_colors: bool) -> Self {
         Self {
@@ -201,20 +206,31 @@ impl Samples {
             free: Vec::new(),
             block_of: vec![NONE; vertex_count],
             has_colors,
-            candidates: Vec::with_capacity(2 * MAX_SAMPLES + 1),
+            candidates: Vec::with_capacity(2 * MAX_SAMPLES + 2),
         }
     }
 
-    /// Hands `t` and its samples over to `s`, whose star after the collapse is `star`, and measures all of them. Distances up
-    /// to `enough` are not told apart.
-    pub(crate) fn merge(&mut self, points: &[Point], s: u32, t: u32, star: &Star, enough: f64) -> Deviation {
+    /// Hands `t` and its samples over to `s`, whose star after the collapse is `star`, and measures all of them. `ends` are the
+    /// two before the collapse; if vertices move, an end is an original vertex and so a sample only as long as nothing
+    /// collapsed onto it. Distances up to `enough` are not told apart.
+    pub(crate) fn merge(
+        &mut self,
+        [s, t]: [u32; 2],
+        ends: [Point; 2],
+        moves: bool,
+        star: &Star,
+        enough: f64,
+    ) -> Deviation {
         let mut candidates = std::mem::take(&mut self.candidates);
         candidates.clear();
         // With colours the nearest point itself matters, not just that there is one near enough.
         let enough_squared = if self.has_colors { -1.0 } else { enough * enough };
-        let on_border = points[s as usize].is_boundary;
+        let on_border = ends[0].is_boundary;
+        let is_original = |v: u32| self.block_of[v as usize] == NONE;
+        let own_t = (!moves || is_original(t)).then_some(&ends[1]);
+        let own_s = (moves && is_original(s)).then_some(&ends[0]);
         let (mut worst, mut worst_color, mut reach) = (0.0f64, 0.0f64, 0.0f64);
-        for point in self.of(t).iter().chain([&points[t as usize]]).chain(self.of(s)) {
+        for point in self.of(t).iter().chain(own_t).chain(own_s).chain(self.of(s)) {
             let q = point.at() - star.center;
             let nearest = star.nearest(q, enough_squared);
             let mut score = nearest.distance_squared;
@@ -244,7 +260,19 @@ impl Samples {
         Deviation { distance: if distance > enough { distance } else { 0.0 }, color: worst_color * 2.0 * reach.sqrt() }
     }
 
-    fn of(&self, v: u32) -> &[Point] {
+    /// Gives samples, at most as many as [`Samples::of`] ever shows, to a vertex that has none.
+    pub(crate) fn give(&mut self, v: u32, samples: &[Point]) {
+        if !samples.is_empty() {
+            let mut block = Block::EMPTY;
+            block.samples[..samples.len()].copy_from_slice(samples);
+            block.count = samples.len() as u32;
+            self.block_of[v as usize] = self.blocks.len() as u32;
+            self.blocks.push(block);
+        }
+    }
+
+    /// The samples of a vertex.
+    pub(crate) fn of(&self, v: u32) -> &[Point] {
         match self.blocks.get(self.block_of[v as usize] as usize) {
             Some(block) => &block.samples[..block.count as usize],
             None => &[],
@@ -262,8 +290,7 @@ impl Samples {
         }
         let index = *slot as usize;
         if index == self.blocks.len() {
-            let nowhere = Point { position: [0; 3], color: [0; 3], is_boundary: false };
-            self.blocks.push(Block { count: 0, samples: [nowhere; MAX_SAMPLES] });
+            self.blocks.push(Block::EMPTY);
         }
         &mut self.blocks[index]
     }

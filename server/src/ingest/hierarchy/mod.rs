@@ -4,10 +4,13 @@
 //! Knows points, collapses and root faces; how collapses are found and ordered is the business of
 //! [`simplify`](super::simplify), which calls this module and is never called by it. Start at [`forest`].
 
+#[allow(dead_code)]
+pub(crate) mod assembly;
 pub(crate) mod bounds;
 pub(crate) mod components;
 pub(crate) mod deviation;
 pub(crate) mod forest;
+pub(crate) mod order;
 
 use bytemuck::{Pod, Zeroable};
 use glam::DVec3;
@@ -56,6 +59,10 @@ pub(crate) struct Collapse {
     pub(crate) next_of_s: u32,
     /// The last collapse that kept `t`, which is the first split of `t`.
     pub(crate) first_of_t: u32,
+    /// What the split adds to the position of `s`: where `s` was before the collapse less where it is afterwards.
+    pub(crate) s_move: [i32; 3],
+    /// What the split adds to the colour of `s`, modulo 256.
+    pub(crate) s_color_move: [u8; 3],
     /// Visibility sphere, as stored.
     pub(crate) bounds: Bounds,
 }

@@ -8,6 +8,7 @@ use glam::DVec3;
 
 use super::{
     constraint::{Examined, STAGES, Stage},
+    placement::{self, Edge, Place, Placement},
     quadric::{self, Quadric},
     surface::{NONE, Site, Surface},
 };
@@ -42,9 +43,16 @@ const BLOCK: usize = 1024;
 const PASSES_PER_SWEEP: u32 = 4;
 
 /// A mesh under simplification and what is carried with it.
-pub(crate) struct Simplifier<'a> {
+pub(crate) struct Simplifier {
     pub(crate) surface: Surface,
-    pub(crate) points: &'a [Point],
+    /// By vertex; where it is now, or was when it went.
+    pub(crate) points: Vec<Point>,
+    /// Per vertex, whether it takes part in no collapse: some of its faces are elsewhere.
+    is_locked: Vec<bool>,
+    /// Number of the first collapse.
+    first_op: u32,
+    /// `None`: half-edge collapses.
+    mover: Option<Mover>,
     pub(crate) collapses: Vec<Collapse>,
     pub(crate) carried: Vec<Carried>,
     /// Per face, the collapse that removed it, or [`NONE`].
@@ -55,8 +63,8 @@ pub(crate) struct Simplifier<'a> {
     passes: u32,
     /// Sum over all collapses of the valence of `s` afterwards.
     pub(crate) valence_sum: u64,
-    quadrics: Vec<Quadric>,
-    samples: Samples,
+    pub(crate) quadrics: Vec<Quadric>,
+    pub(crate) samples: Samples,
     /// Key per half-edge.
     keys: Vec<u32>,
     /// Pass in which a half-edge was last found illegal.
@@ -76,6 +84,14 @@ pub(crate) struct Simplifier<'a> {
     around: Vec<(u32, u32)>,
 }
 
+/// How vertices that stay move.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Mover {
+    pub(super) rule: &'static dyn Placement,
+    /// Largest coordinate of the lattice.
+    pub(super) max_coordinate: i32,
+}
+
 /// What came of an attempt.
 enum Outcome {
     Collapsed,
@@ -84,14 +100,41 @@ enum Outcome {
     Postponed(u32),
 }
 
-impl<'a> Simplifier<'a> {
-    /// O(vertices + faces).
-    pub(crate) fn new(surface: Surface, points: &'a [Point], has_colors: bool) -> Self {
+/// What the vertices of a surface bring along, an entry for each.
+pub(crate) struct State {
+    pub(crate) points: Vec<Point>,
+    /// Whether the vertex takes part in no collapse: some of its faces are elsewhere.
+    pub(crate) is_locked: Vec<bool>,
+    pub(crate) quadrics: Vec<Quadric>,
+    pub(crate) carried: Vec<Carried>,
+    pub(crate) samples: Samples,
+}
+
+impl State {
+    /// Of a complete mesh.
+    pub(crate) fn of_originals(surface: &Surface, points: Vec<Point>, has_colors: bool) -> Self {
+        let mut quadrics = quadric::of_faces(surface, &points);
+        quadric::add_borders(&mut quadrics, surface, &points, |_, _| true);
+        Self {
+            is_locked: vec![false; points.len()],
+            quadrics,
+            carried: originals(surface, &points),
+            samples: Samples::new(points.len(), has_colors),
+            points,
+        }
+    }
+}
+
+impl Simplifier {
+    /// Collapses are numbered from `first_op` on. O(vertices + faces).
+    pub(crate) fn new(surface: Surface, state: State, mover: Option<Mover>, first_op: u32) -> Self {
         let vertices = surface.vertex_count();
-        let quadrics = quadric::initial(&surface, points);
-        let carried = originals(&surface, points);
+        let State { points, is_locked, quadrics, carried, samples } = state;
         let mut simplifier = Self {
             points,
+            is_locked,
+            first_op,
+            mover,
             collapses: Vec::with_capacity(vertices),
             carried,
             removed_by: vec![NONE; surface.face_count()],
@@ -99,7 +142,7 @@ impl<'a> Simplifier<'a> {
             passes: 0,
             valence_sum: 0,
             quadrics,
-            samples: Samples::new(vertices, has_colors),
+            samples,
             keys: vec![NO_KEY; 3 * surface.face_count()],
             blocked_in: vec![0; 3 * surface.face_count()],
             changed_in: vec![0; vertices],
@@ -118,9 +161,14 @@ impl<'a> Simplifier<'a> {
         simplifier
     }
 
+    /// Works on these faces from now on, ascending. No edge has one of them on one side and another face on the other.
+    pub(crate) fn turn_to(&mut self, faces: Vec<u32>) {
+        self.live_faces = faces;
+    }
+
     /// Collapses until no collapse is legal in any stage. `progress` hears the share of the faces that are gone.
     pub(crate) fn run(&mut self, progress: &mut dyn FnMut(f32)) {
-        let faces = self.removed_by.len().max(1) as f32;
+        let faces = self.live_faces.len().max(1) as f32;
         for stage in &STAGES {
             while self.sweep(stage) {
                 progress(1.0 - self.live_faces.len() as f32 / faces);
@@ -128,6 +176,20 @@ impl<'a> Simplifier<'a> {
             self.renew_all_keys();
         }
         self.live_faces.retain(|&f| self.removed_by[f as usize] == NONE);
+    }
+
+    /// Collapses in the first stage until at most `target` faces are left or nothing is legal in it. `progress` hears how many
+    /// are left.
+    pub(crate) fn run_down_to(&mut self, target: usize, progress: &mut dyn FnMut(usize)) {
+        while self.live_faces.len() > target && self.sweep(&STAGES[0]) {
+            self.live_faces.retain(|&f| self.removed_by[f as usize] == NONE);
+            progress(self.live_faces.len());
+        }
+    }
+
+    /// Whether a face is still there.
+    pub(crate) fn is_live(&self, face: u32) -> bool {
+        self.removed_by[face as usize] == NONE
     }
 
     /// Faces that are left, ascending.
@@ -172,26 +234,32 @@ impl<'a> Simplifier<'a> {
         true
     }
 
-    /// Tries to collapse the edge at `h` in either direction, the one in its key first; notes what came of it in the key.
+    /// Tries to collapse the edge at `h` to the place that the placement says, then in either direction, the one in its key
+    /// first; notes what came of it in the key.
     fn consider(&mut self, key: u32, h: u32, limit: u32, stage: &Stage) {
         let (a, b) = (self.surface.origin(h), self.surface.target(h));
         if self.changed_in[a as usize] == self.passes || self.changed_in[b as usize] == self.passes {
             return;
         }
         let keep_origin = key & KEEPS_TARGET == 0;
-        let key = match self.attempt(h, keep_origin, limit, stage) {
+        let place = self.place(h);
+        let mut outcome = match place {
+            Some(place) => self.attempt(h, place.keeps_first, Some(place), limit, stage),
+            None => Outcome::Illegal,
+        };
+        for keep_origin in [keep_origin, !keep_origin] {
+            if matches!(outcome, Outcome::Illegal) {
+                outcome = self.attempt(h, keep_origin, None, limit, stage);
+            }
+        }
+        self.keys[h as usize] = match outcome {
             Outcome::Collapsed => return,
             Outcome::Postponed(key) => key,
-            Outcome::Illegal => match self.attempt(h, !keep_origin, limit, stage) {
-                Outcome::Collapsed => return,
-                Outcome::Postponed(key) => key,
-                Outcome::Illegal => {
-                    self.blocked_in[h as usize] = self.passes;
-                    key | IS_BLOCKED
-                }
-            },
+            Outcome::Illegal => {
+                self.blocked_in[h as usize] = self.passes;
+                key | IS_BLOCKED
+            }
         };
-        self.keys[h as usize] = key;
     }
 
     /// Largest key among the cheapest share of the edges that are not blocked, rounded up to a bin; `None` if all are blocked.
@@ -263,19 +331,38 @@ impl<'a> Simplifier<'a> {
         }
     }
 
-    /// Tries one direction of the edge at `h`.
-    fn attempt(&mut self, h: u32, keep_origin: bool, limit: u32, stage: &Stage) -> Outcome {
+    /// Where the vertex that joins the ends of `h` should lie, if it may move. An edge with one end on the boundary may not: that
+    /// end stays put.
+    #[inline]
+    fn place(&self, h: u32) -> Option<Place> {
+        let mover = self.mover?;
+        let ends = [self.surface.origin(h), self.surface.target(h)];
+        if self.surface.twin(h).is_some() && ends.iter().any(|&v| self.points[v as usize].is_boundary) {
+            return None;
+        }
+        Some(mover.rule.place(&Edge {
+            ends: ends.map(|v| &self.points[v as usize]),
+            quadrics: ends.map(|v| &self.quadrics[v as usize]),
+            max: mover.max_coordinate,
+        }))
+    }
+
+    /// Tries one direction of the edge at `h`, with the vertex that stays where it is or at a place of its own.
+    fn attempt(&mut self, h: u32, keep_origin: bool, place: Option<Place>, limit: u32, stage: &Stage) -> Outcome {
         let site = Site::new(&self.surface, h, keep_origin);
-        let weight = self.quadrics[site.t as usize].weight;
-        if !self.examined.is_legal(&self.surface, self.points, site, weight, stage) {
+        let Site { s, t, .. } = site;
+        let place = place.filter(|place| place.at != self.points[s as usize].position);
+        let weights = [s, t].map(|v| self.quadrics[v as usize].weight);
+        let at = place.map(|place| placement::vector(place.at));
+        if !self.examined.is_legal(&self.surface, &self.points, site, at, weights, stage) {
             return Outcome::Illegal;
         }
-        let cost = self.costs(site.s, site.t)[0] + self.examined.sliver;
+        let cost = place.map_or_else(|| self.costs(s, t)[0], |place| place.cost) + self.examined.sliver;
         let key = key_of(cost) | if keep_origin { 0 } else { KEEPS_TARGET };
         if key > limit {
             return Outcome::Postponed(key);
         }
-        self.collapse(site);
+        self.collapse(site, place);
         Outcome::Collapsed
     }
 
@@ -286,9 +373,15 @@ impl<'a> Simplifier<'a> {
         quadric::costs(pa, qa, pb, qb)
     }
 
-    /// Key of the cheaper direction of an edge. A direction that takes a boundary vertex inside is no choice.
+    /// Key of the cheaper direction of an edge, or of its place. A direction that takes a boundary vertex inside is no choice.
     fn edge_key(&self, h: u32) -> u32 {
         let (a, b) = (self.surface.origin(h), self.surface.target(h));
+        if self.is_locked[a as usize] || self.is_locked[b as usize] {
+            return NO_KEY;
+        }
+        if let Some(place) = self.place(h) {
+            return key_of(place.cost) | if place.keeps_first { 0 } else { KEEPS_TARGET };
+        }
         let is_inner = self.surface.twin(h).is_some();
         let may_go = |v: u32| !(is_inner && self.points[v as usize].is_boundary);
         let [keep_a, keep_b] = self.costs(a, b);
@@ -302,13 +395,13 @@ impl<'a> Simplifier<'a> {
     }
 
     /// Collapses a legal site, which `examined` describes. O(valence), allocates only to grow.
-    fn collapse(&mut self, site: Site) {
+    fn collapse(&mut self, site: Site, place: Option<Place>) {
         let Site { s, t, left, right } = site;
-        let op = self.collapses.len() as u32;
-        let points = self.points;
-        let Self { surface, ring, normals, examined, carried, .. } = self;
+        let op = self.first_op + self.collapses.len() as u32;
+        let Self { surface, points, ring, normals, examined, carried, .. } = self;
         ring.clear();
         ring.extend(examined.around.iter().map(|&v| points[v as usize].at()));
+        ring.extend(place.map(|place| placement::vector(place.at)));
         normals.clear();
         for &(before, after) in &examined.normals {
             normals.push(before);
@@ -325,15 +418,19 @@ impl<'a> Simplifier<'a> {
             self.removed_by[face as usize] = op;
             self.keys[3 * face as usize..3 * face as usize + 3].fill(NO_KEY);
         }
-        let [ps, pt] = [s, t].map(|v| points[v as usize]);
+        let before = [s, t].map(|v| self.points[v as usize]);
         let gone = self.quadrics[t as usize];
-        self.quadrics[s as usize].absorb(&gone, ps.at() - pt.at());
+        self.quadrics[s as usize].absorb(&gone, before[0].at() - before[1].at());
+        if let Some(place) = place {
+            self.move_vertex(s, before, place);
+        }
+        let ps = self.points[s as usize];
         self.changed_in[s as usize] = self.passes;
         self.changed_in[t as usize] = self.passes;
-        let Self { surface, around, .. } = self;
+        let Self { surface, around, points, .. } = self;
         around.clear();
         surface.for_each_edge(s, |h, v| around.push((h, v)));
-        self.star.reset(&ps, self.around.iter().map(|&(_, v)| points[v as usize]), !ps.is_boundary);
+        self.star.reset(&ps, around.iter().map(|&(_, v)| points[v as usize]), !ps.is_boundary);
         for i in 0..self.around.len() {
             let (h, v) = self.around[i];
             self.changed_in[v as usize] = self.passes;
@@ -343,7 +440,7 @@ impl<'a> Simplifier<'a> {
         let inherited = self.carried[s as usize].error().max(self.carried[t as usize].error());
         let rms = RMS_FACTOR * self.quadrics[s as usize].rms();
         let enough = inherited.max(rms) / SAMPLED_FACTOR;
-        let deviation = self.samples.merge(points, s, t, &self.star, enough);
+        let deviation = self.samples.merge([s, t], before, self.mover.is_some(), &self.star, enough);
         let own = rms.max(SAMPLED_FACTOR * deviation.distance).max(COLOR_FACTOR * deviation.color);
         let own = if own < SMALLEST_ERROR { 0.0 } else { own };
         let (sphere, normals) = region;
@@ -361,8 +458,19 @@ impl<'a> Simplifier<'a> {
             outer,
             next_of_s,
             first_of_t,
+            s_move: std::array::from_fn(|k| before[0].position[k] - ps.position[k]),
+            s_color_move: std::array::from_fn(|k| before[0].color[k].wrapping_sub(ps.color[k])),
             bounds: stored,
         });
+    }
+
+    /// Moves `s`, which stays when the ends `[s, t]` are joined, with its quadric.
+    fn move_vertex(&mut self, s: u32, ends: [Point; 2], place: Place) {
+        let [from, other] = ends;
+        self.quadrics[s as usize].carry(placement::vector(place.at) - from.at());
+        let share = placement::share([&from, &other], place.at);
+        let color = placement::color(from.color, other.color, share);
+        self.points[s as usize] = Point { position: place.at, color, is_boundary: from.is_boundary };
     }
 
     fn renew_key(&mut self, h: u32) {
@@ -392,8 +500,8 @@ fn face_normal(surface: &Surface, points: &[Point], face: u32) -> DVec3 {
     (b - a).cross(c - a)
 }
 
-/// What the vertices of the complete mesh carry: their one-rings.
-fn originals(surface: &Surface, points: &[Point]) -> Vec<Carried> {
+/// What the vertices of the complete mesh carry: their one-rings, as far as they are here.
+pub(crate) fn originals(surface: &Surface, points: &[Point]) -> Vec<Carried> {
     let units: Vec<DVec3> = (0..surface.face_count() as u32)
         .map(|face| {
             let normal = face_normal(surface, points, face);
@@ -403,14 +511,41 @@ fn originals(surface: &Surface, points: &[Point]) -> Vec<Carried> {
         .collect();
     let mut ring = Vec::new();
     let mut normals = Vec::new();
-    (0..surface.vertex_count() as u32)
+    // Where some faces of a vertex are elsewhere, those that are here may be several fans.
+    let mut scattered = Vec::new();
+    let mut carried: Vec<Carried> = (0..surface.vertex_count() as u32)
         .map(|v| {
             ring.clear();
             normals.clear();
             ring.push(points[v as usize].at());
+            let mut faces = 0;
+            for h in surface.spokes(v) {
+                normals.extend(Some(units[h as usize / 3]).filter(|&unit| unit != DVec3::ZERO));
+                faces += 1;
+            }
+            if faces < surface.valence(v) {
+                scattered.push(v);
+            }
             surface.for_each_neighbor(v, |n| ring.push(points[n as usize].at()));
-            normals.extend(surface.spokes(v).map(|h| units[h as usize / 3]).filter(|&unit| unit != DVec3::ZERO));
             Carried::new(&ring, &normals)
         })
-        .collect()
+        .collect();
+    if scattered.is_empty() {
+        return carried;
+    }
+    let mut corners: Vec<(u32, u32)> = (0..surface.face_count() as u32)
+        .flat_map(|face| surface.corners(face).map(|v| (v, face)))
+        .filter(|(v, _)| scattered.binary_search(v).is_ok())
+        .collect();
+    corners.sort_unstable();
+    for star in corners.chunk_by(|a, b| a.0 == b.0) {
+        ring.clear();
+        normals.clear();
+        for &(_, face) in star {
+            ring.extend(surface.corners(face).map(|v| points[v as usize].at()));
+            normals.extend(Some(units[face as usize]).filter(|&unit| unit != DVec3::ZERO));
+        }
+        carried[star[0].0 as usize] = Carried::new(&ring, &normals);
+    }
+    carried
 }

@@ -5,7 +5,7 @@ use glam::DVec3;
 
 use super::{
     quadric::{others, shape, sliver},
-    surface::{Site, Surface},
+    surface::{Site, Surface, next},
 };
 use crate::ingest::hierarchy::Point;
 
@@ -35,12 +35,15 @@ pub(crate) const STAGES: [Stage; 4] = [
 pub(crate) struct Examined {
     /// Spokes of `t` in the faces that go over to `s`.
     pub(crate) arc: Vec<u32>,
-    /// Normals of the arc faces before and after, twice the area long.
+    /// Normals, before and after, of the faces that change shape, twice the area long: those of the arc, and if `s` moves those
+    /// that it keeps.
     pub(crate) normals: Vec<(DVec3, DVec3)>,
-    /// Neighbours of `t`.
+    /// Neighbours of `t`, and those of `s` if it moves.
     pub(crate) around: Vec<u32>,
     /// Cost of the slivers it makes.
     pub(crate) sliver: f64,
+    /// Whether a face without area would get some.
+    gains_area: bool,
     /// Per vertex, the number of the last test that met it among the neighbours of `s`.
     seen: Vec<u32>,
     tests: u32,
@@ -51,7 +54,8 @@ impl Examined {
         Self { seen: vec![0; vertex_count], ..Self::default() }
     }
 
-    /// Whether `site` may collapse. Fills the fields if so. O(valence of s and t).
+    /// Whether `site` may collapse, with `s` where it is or at a place of its own. `weights` are those of the quadrics of `s` and
+    /// `t`. Fills the fields if so. O(valence of s and t).
     ///
     /// Topology is the link condition (Dey, Edelsbrunner, Guha, Nekhayev 1999) with a virtual vertex joined to every boundary
     /// edge, which reduces to: a boundary vertex goes only along a boundary edge; the common neighbours of `s` and `t` are
@@ -62,7 +66,8 @@ impl Examined {
         surface: &Surface,
         points: &[Point],
         site: Site,
-        weight: f64,
+        place: Option<DVec3>,
+        weights: [f64; 2],
         stage: &Stage,
     ) -> bool {
         let Site { s, t, left, right } = site;
@@ -75,7 +80,11 @@ impl Examined {
         if !apexes.iter().flatten().all(|&v| keeps_enough(v)) || apexes[0] == apexes[1] {
             return false;
         }
-        self.has_only_expected_neighbors(surface, site) && self.keeps_orientation(surface, points, site, weight, stage)
+        self.has_only_expected_neighbors(surface, site)
+            && match place {
+                None => self.keeps_orientation(surface, points, site, weights[1], stage),
+                Some(place) => self.keeps_both_orientations(surface, points, site, place, weights, stage),
+            }
     }
 
     fn has_only_expected_neighbors(&mut self, surface: &Surface, site: Site) -> bool {
@@ -107,46 +116,113 @@ impl Examined {
         weight: f64,
         stage: &Stage,
     ) -> bool {
-        self.arc.clear();
-        self.normals.clear();
-        self.sliver = 0.0;
+        self.start();
         let Some(start) = surface.arc_start(site) else { return true };
-        let stop = site.left.map(super::surface::next);
+        let stop = site.left.map(next);
         let [s, t] = [site.s, site.t].map(|v| points[v as usize].at());
-        let length_squared = s.distance_squared(t);
-        let mut gains_area = false;
+        let turn = Turn { from: t, to: s, length_squared: s.distance_squared(t), weight };
         for h in surface.spokes_from(start) {
             if Some(h) == stop {
                 break;
             }
-            let (x, y) = others(surface, h);
-            let [x, y] = [x, y].map(|v| points[v as usize].at());
-            let (before, after) = (shape(t, x, y), shape(s, x, y));
-            let lost = after.0 == DVec3::ZERO;
-            if before.0 == DVec3::ZERO {
-                gains_area |= !lost;
-            } else if lost || !turns_little(before.0, after.0, stage) {
+            if !self.keeps_face(surface, points, h, &turn, stage) {
                 return false;
             }
-            self.sliver += sliver(before, after, length_squared, weight);
             self.arc.push(h);
-            self.normals.push((before.0, after.0));
         }
-        if !gains_area || stage.min_cosine.is_none() {
+        self.gains_area_well(stage, || star_normal(surface, points, site.t))
+    }
+
+    /// The flip test where `s` moves to `place`: the faces that it keeps change as well as those of the arc.
+    fn keeps_both_orientations(
+        &mut self,
+        surface: &Surface,
+        points: &[Point],
+        site: Site,
+        place: DVec3,
+        weights: [f64; 2],
+        stage: &Stage,
+    ) -> bool {
+        self.start();
+        let Self { around, .. } = self;
+        surface.for_each_neighbor(site.s, |v| around.push(v));
+        let [s, t] = [site.s, site.t].map(|v| points[v as usize].at());
+        let length_squared = s.distance_squared(t);
+        let stop = site.left.map(next);
+        let turn = Turn { from: t, to: place, length_squared, weight: weights[1] };
+        let arc = surface.arc_start(site).into_iter().flat_map(|start| surface.spokes_from(start));
+        for h in arc.take_while(|&h| Some(h) != stop) {
+            if !self.keeps_face(surface, points, h, &turn, stage) {
+                return false;
+            }
+            self.arc.push(h);
+        }
+        let turn = Turn { from: s, to: place, length_squared, weight: weights[0] };
+        let right = site.right.map(next);
+        for h in surface.spokes(site.s).filter(|&h| Some(h) != site.left && Some(h) != right) {
+            if !self.keeps_face(surface, points, h, &turn, stage) {
+                return false;
+            }
+        }
+        self.gains_area_well(stage, || star_normal(surface, points, site.s) + star_normal(surface, points, site.t))
+    }
+
+    fn start(&mut self) {
+        self.arc.clear();
+        self.normals.clear();
+        self.sliver = 0.0;
+        self.gains_area = false;
+    }
+
+    /// Looks at the face of spoke `h`, whose origin moves.
+    #[inline]
+    fn keeps_face(&mut self, surface: &Surface, points: &[Point], h: u32, turn: &Turn, stage: &Stage) -> bool {
+        let (x, y) = others(surface, h);
+        let [x, y] = [x, y].map(|v| points[v as usize].at());
+        let (before, after) = (shape(turn.from, x, y), shape(turn.to, x, y));
+        let lost = after.0 == DVec3::ZERO;
+        if before.0 == DVec3::ZERO {
+            self.gains_area |= !lost;
+        } else if lost || !turns_little(before.0, after.0, stage) {
+            return false;
+        }
+        self.sliver += sliver(before, after, turn.length_squared, turn.weight);
+        self.normals.push((before.0, after.0));
+        true
+    }
+
+    /// Whether the faces that gain area agree with the mean normal around them, which is only asked for then.
+    #[inline]
+    fn gains_area_well(&self, stage: &Stage, around: impl FnOnce() -> DVec3) -> bool {
+        if !self.gains_area || stage.min_cosine.is_none() {
             return true;
         }
-        let around: DVec3 = surface
-            .spokes(site.t)
-            .map(|h| {
-                let (x, y) = others(surface, h);
-                shape(t, points[x as usize].at(), points[y as usize].at()).0
-            })
-            .sum();
+        let around = around();
         around == DVec3::ZERO
             || self.normals.iter().all(|&(before, after)| {
                 before != DVec3::ZERO || after == DVec3::ZERO || turns_little(around, after, stage)
             })
     }
+}
+
+/// How the faces at a vertex change: where it goes, and what a sliver costs there.
+struct Turn {
+    from: DVec3,
+    to: DVec3,
+    length_squared: f64,
+    weight: f64,
+}
+
+/// Sum of the normals around `v`.
+fn star_normal(surface: &Surface, points: &[Point], v: u32) -> DVec3 {
+    let at = |v: u32| points[v as usize].at();
+    surface
+        .spokes(v)
+        .map(|h| {
+            let (x, y) = others(surface, h);
+            shape(at(v), at(x), at(y)).0
+        })
+        .sum()
 }
 
 /// Whether the angle between two normals is within the stage's limit.

@@ -1,28 +1,38 @@
 //! From a clean mesh to a vertex-split DAG: rounds it to a lattice, collapses edge after edge, and has
 //! [`hierarchy`](super::hierarchy) turn the collapses into records.
 //!
-//! Half-edge collapses: `t` goes, `s` stays where it is with the colour it has. The order is `batched` by area-weighted quadrics;
+//! `t` goes, `s` stays: where it is with the colour it has (half-edge collapses, the default), or at a place between or near
+//! the two that a [`placement`] chooses. The order is `batched` by area-weighted quadrics;
 //! what is stored with each op is a measured deviation. All geometry is integer and all floating-point work is `+ - * /` and
 //! square roots in a fixed order, so the same input gives the same DAG everywhere.
 //!
-//! [`surface`] is the connectivity, [`constraint`] says what is legal, [`quadric`] what it costs, [`batch`] runs the passes.
+//! [`surface`] is the connectivity, [`constraint`] says what is legal, [`quadric`] what it costs, [`placement`] where it leads,
+//! [`batch`] runs the passes.
 
 mod batch;
 mod constraint;
 pub(super) mod lattice;
 mod order;
+mod part;
+mod placement;
 mod quadric;
 mod report;
 mod surface;
 #[cfg(test)]
 mod tests;
+#[allow(dead_code)]
+mod tree;
 
 use std::time::Instant;
 
 use lodestream_protocol::quant::{MAX_LATTICE_BITS, MIN_LATTICE_BITS};
 
+pub use self::placement::PlacementChoice;
 pub use self::report::{BuildReport, BuildStage, Progress, Timings};
-use self::{batch::Simplifier, surface::Surface};
+use self::{
+    batch::{Mover, Simplifier, State},
+    surface::Surface,
+};
 use super::hierarchy::{
     Point,
     components::Components,
@@ -36,6 +46,8 @@ pub struct BuildOptions {
     /// Bits of the lattice per axis, 8 to 21. `None`: the fewest from 12 on for which a step is at most 1/16 of the mean edge
     /// and half the 1st-percentile edge.
     pub bits: Option<u8>,
+    /// Where the vertex that a collapse leaves lies.
+    pub placement: PlacementChoice,
 }
 
 /// Why a mesh was refused. All but the first two mean that it was not cleaned.
@@ -133,7 +145,11 @@ pub fn build(
 
     tell(BuildStage::Simplify, 0.0);
     let has_colors = mesh.colors.is_some();
-    let mut simplifier = Simplifier::new(surface, &points, has_colors);
+    let boundary_vertices = points.iter().filter(|p| p.is_boundary).count();
+    let max_coordinate = lattice.max_coordinate();
+    let mover = options.placement.rule().map(|rule| Mover { rule, max_coordinate });
+    let state = State::of_originals(&surface, points, has_colors);
+    let mut simplifier = Simplifier::new(surface, state, mover, 0);
     timings.initialize = started.elapsed().as_secs_f64() - timings.prepare;
     simplifier.run(&mut |fraction| tell(BuildStage::Simplify, fraction));
     let simplified_at = started.elapsed().as_secs_f64();
@@ -144,7 +160,7 @@ pub fn build(
         lattice,
         has_colors,
         is_open,
-        points: &points,
+        points: &simplifier.points,
         components: &components,
         root_faces: &simplifier.root_faces(),
         collapses: &simplifier.collapses,
@@ -165,7 +181,7 @@ pub fn build(
         vertices: mesh.positions.len(),
         triangles: mesh.faces.len(),
         components: components.count(),
-        boundary_vertices: points.iter().filter(|p| p.is_boundary).count(),
+        boundary_vertices,
         is_open,
         sweeps: simplifier.sweeps,
         splits,

@@ -1,5 +1,6 @@
 //! Area-weighted error quadrics (Garland and Heckbert 1997) and the cost of an edge.
 
+use bytemuck::{Pod, Zeroable};
 use glam::DVec3;
 
 use super::surface::{Surface, next, prev};
@@ -16,7 +17,8 @@ const TIE_BREAK: f64 = 1e-12;
 ///
 /// Relative to the vertex, because the constant term of an absolute quadric on a 21-bit lattice cancels catastrophically. It
 /// also makes evaluation at the vertex itself a single read, and half-edge collapses evaluate nowhere else.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+#[repr(C)]
 pub(crate) struct Quadric {
     /// Upper triangle of the matrix: xx, xy, xz, yy, yz, zz.
     a: [f64; 6],
@@ -61,44 +63,85 @@ impl Quadric {
         self.weight += other.weight;
     }
 
+    /// Carries it by the vertex at offset `d` instead.
+    pub(crate) fn carry(&mut self, d: DVec3) {
+        self.c = self.at(d);
+        self.b += self.apply(d);
+    }
+
+    /// Offset from `from` at which the sum of this quadric, carried at `a`, of `other`, carried at `b`, and of `pull` times their
+    /// weight times the squared offset is least. `None` if both are next to nothing.
+    pub(crate) fn least_with(&self, other: &Self, a: DVec3, b: DVec3, from: DVec3, pull: f64) -> Option<DVec3> {
+        // Gradient and matrix at `from`: M x = -g, by Cramer's rule.
+        let gradient = self.b + self.apply(from - a) + other.b + other.apply(from - b);
+        let weight = (self.weight + other.weight) * pull;
+        let [xx, xy, xz, yy, yz, zz]: [f64; 6] = std::array::from_fn(|k| self.a[k] + other.a[k]);
+        let (xx, yy, zz) = (xx + weight, yy + weight, zz + weight);
+        let columns = [DVec3::new(xx, xy, xz), DVec3::new(xy, yy, yz), DVec3::new(xz, yz, zz)];
+        let determinant = columns[0].dot(columns[1].cross(columns[2]));
+        // At least (pull x weight)^3 but for rounding.
+        if determinant <= 0.5 * weight * weight * weight {
+            return None;
+        }
+        let g = -gradient;
+        let solve = |x: DVec3, y: DVec3, z: DVec3| x.dot(y.cross(z)) / determinant;
+        Some(DVec3::new(
+            solve(g, columns[1], columns[2]),
+            solve(columns[0], g, columns[2]),
+            solve(columns[0], columns[1], g),
+        ))
+    }
+
     /// RMS distance of the vertex to the planes, in lattice steps.
     pub(crate) fn rms(&self) -> f64 {
         if self.weight > 0.0 { (self.c / self.weight).max(0.0).sqrt() } else { 0.0 }
     }
 }
 
-/// The quadrics of the complete mesh: each face gives a third of its area to each corner, each boundary edge a plane at right
-/// angles to its face to both ends. O(faces).
-pub(crate) fn initial(surface: &Surface, points: &[Point]) -> Vec<Quadric> {
+/// The quadrics of the faces of an original mesh: each gives a third of its area to each corner. O(faces).
+pub(crate) fn of_faces(surface: &Surface, points: &[Point]) -> Vec<Quadric> {
     let mut quadrics = vec![Quadric::default(); surface.vertex_count()];
     for face in 0..surface.face_count() as u32 {
         let corners = surface.corners(face);
         let [a, b, c] = corners.map(|v| points[v as usize].at());
         let normal = (b - a).cross(c - a);
         let length = normal.length();
-        if length == 0.0 {
-            continue;
-        }
-        let unit = normal / length;
-        for v in corners {
-            quadrics[v as usize].add_plane(unit, length / 6.0);
-        }
-        for h in 3 * face..3 * face + 3 {
-            if surface.twin(h).is_some() {
-                continue;
-            }
-            let ends = [surface.origin(h), surface.target(h)];
-            let along = points[ends[1] as usize].at() - points[ends[0] as usize].at();
-            let side = along.cross(unit);
-            let side_length = side.length();
-            if side_length > 0.0 {
-                for v in ends {
-                    quadrics[v as usize].add_plane(side / side_length, BOUNDARY_WEIGHT * along.length_squared());
-                }
+        if length > 0.0 {
+            for v in corners {
+                quadrics[v as usize].add_plane(normal / length, length / 6.0);
             }
         }
     }
     quadrics
+}
+
+/// Adds borders of the original mesh: each boundary edge gives a plane at right angles to its face to both ends, if `is_border`
+/// says so of them. O(faces).
+pub(crate) fn add_borders(
+    quadrics: &mut [Quadric],
+    surface: &Surface,
+    points: &[Point],
+    is_border: impl Fn(u32, u32) -> bool,
+) {
+    for h in 0..3 * surface.face_count() as u32 {
+        if surface.twin(h).is_some() {
+            continue;
+        }
+        let ends = [surface.origin(h), surface.target(h)];
+        if !is_border(ends[0], ends[1]) {
+            continue;
+        }
+        let [a, b, c] = surface.corners(h / 3).map(|v| points[v as usize].at());
+        let normal = (b - a).cross(c - a);
+        let along = points[ends[1] as usize].at() - points[ends[0] as usize].at();
+        let side = along.cross(normal);
+        let length = side.length();
+        if length > 0.0 {
+            for v in ends {
+                quadrics[v as usize].add_plane(side / length, BOUNDARY_WEIGHT * along.length_squared());
+            }
+        }
+    }
 }
 
 /// Costs of an edge in both directions: keeping `a`, and keeping `b`; in lattice steps to the fourth (squared distance times
@@ -108,9 +151,21 @@ pub(crate) fn initial(surface: &Surface, points: &[Point]) -> Vec<Quadric> {
 pub(crate) fn costs(a: &Point, quadric_a: &Quadric, b: &Point, quadric_b: &Quadric) -> [f64; 2] {
     let d = b.at() - a.at();
     let length_squared = d.length_squared();
-    let color = color_distance_squared(a.color, b.color) * (COLOR_WEIGHT * COLOR_WEIGHT);
-    let extra = |gone: &Quadric| length_squared * (color * gone.weight + TIE_BREAK);
+    let color = color_weight(a.color, b.color);
+    let extra = |gone: &Quadric| along(length_squared, color, gone.weight);
     [quadric_a.c + quadric_b.at(-d) + extra(quadric_b), quadric_b.c + quadric_a.at(d) + extra(quadric_a)]
+}
+
+/// Squared deviation, as a share of the edge's squared length, that a change from one colour to the other counts for.
+#[inline]
+pub(crate) fn color_weight(a: [u8; 3], b: [u8; 3]) -> f64 {
+    color_distance_squared(a, b) * (COLOR_WEIGHT * COLOR_WEIGHT)
+}
+
+/// What an edge adds to the quadrics' value: colour that changes over `area`, and the tie-break.
+#[inline]
+pub(crate) fn along(length_squared: f64, color: f64, area: f64) -> f64 {
+    length_squared * (color * area + TIE_BREAK)
 }
 
 /// Squared Euclidean distance of two colours, as a share of full scale (black to white is 1).

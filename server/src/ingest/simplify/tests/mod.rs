@@ -1,5 +1,7 @@
 //! Properties of whole builds. [`oracle`] replays the records independently, [`meshes`] makes the inputs.
 
+mod assembly;
+mod chunked;
 mod meshes;
 mod oracle;
 
@@ -9,20 +11,48 @@ use self::{
     meshes::*,
     oracle::{Replay, Vertex, parents, sorted},
 };
-use super::{BuildError, BuildOptions, BuildReport, build};
+use super::{BuildError, BuildOptions, BuildReport, PlacementChoice, build};
 use crate::mesh::TriMesh;
 use crate::pack::record::{Bounds, CutRef, Dag, NO_OP};
 
 fn run(mesh: &TriMesh) -> (Dag, BuildReport) {
-    build(mesh, &BuildOptions::default(), &mut |_| {}).unwrap()
+    run_with(mesh, PlacementChoice::default())
 }
 
-/// Everything that must hold for any clean mesh. `orders`: how many random legal orders to replay.
+fn run_with(mesh: &TriMesh, placement: PlacementChoice) -> (Dag, BuildReport) {
+    build(mesh, &BuildOptions { placement, ..BuildOptions::default() }, &mut |_| {}).unwrap()
+}
+
+/// Everything that must hold for any clean mesh, in all placements; returns what the default one made. `orders`: how many random
+/// legal orders to replay.
 fn check(name: &str, mesh: &TriMesh, orders: u64) -> (Dag, BuildReport) {
-    let (dag, report) = run(mesh);
+    for placement in PlacementChoice::ALL {
+        // Large meshes take long and show nothing new.
+        if placement != PlacementChoice::default() && mesh.faces.len() < 100_000 {
+            check_with(&format!("{name}, {placement:?}"), mesh, orders, placement);
+        }
+    }
+    check_with(name, mesh, orders, PlacementChoice::default())
+}
+
+fn check_with(name: &str, mesh: &TriMesh, orders: u64, placement: PlacementChoice) -> (Dag, BuildReport) {
+    let (dag, report) = run_with(mesh, placement);
+    assert_eq!(report.splits, dag.splits.len(), "{name}");
+    check_dag(name, mesh, &dag, orders);
+    for max_faces in [mesh.faces.len() / 3 + 1, 40] {
+        // Small chunks make sense of small meshes only.
+        if max_faces > 1000 || mesh.faces.len() < 10_000 {
+            let chunked = chunked::build(mesh, max_faces, 1, placement);
+            check_dag(&format!("{name} in chunks of {max_faces}"), mesh, &chunked, orders.min(2));
+            assert!(chunked == chunked::build(mesh, max_faces, 3, placement), "{name}: threads make a difference");
+        }
+    }
+    (dag, report)
+}
+
+fn check_dag(name: &str, mesh: &TriMesh, dag: &Dag, orders: u64) {
     let spawns = dag.spawns.len();
     let splits = || (spawns as u32..).zip(&dag.splits);
-    assert_eq!(report.splits, dag.splits.len(), "{name}");
 
     // Ids, parents and stored monotonicity.
     let bounds = |op: u32| -> &Bounds {
@@ -32,7 +62,7 @@ fn check(name: &str, mesh: &TriMesh, orders: u64) -> (Dag, BuildReport) {
         }
     };
     assert!(dag.spawns.windows(2).all(|w| w[0].bounds.error >= w[1].bounds.error), "{name}");
-    let all_parents: Vec<Vec<u32>> = dag.splits.iter().map(|split| parents(&dag, split)).collect();
+    let all_parents: Vec<Vec<u32>> = dag.splits.iter().map(|split| parents(dag, split)).collect();
     let mut with_tree_parent = 0;
     for ((op, split), parents) in splits().zip(&all_parents) {
         assert!(parents.len() <= 3, "{name}: op {op}");
@@ -67,10 +97,12 @@ fn check(name: &str, mesh: &TriMesh, orders: u64) -> (Dag, BuildReport) {
     }));
     for seed in 0..orders {
         let order = legal_order(spawns as u32, &all_parents, seed);
-        let mut replay = Replay::roots(&dag);
+        let mut replay = Replay::roots(dag);
         let half = order.len() / 2;
         for (i, &op) in order.iter().enumerate() {
-            replay.split(&dag, op);
+            let split = &dag.splits[op as usize - spawns];
+            contains_points(name, &split.bounds, &[replay.position(Replay::vertex_s(dag, split))]);
+            replay.split(dag, op);
             if i == half {
                 replay.check_twins();
             }
@@ -78,10 +110,9 @@ fn check(name: &str, mesh: &TriMesh, orders: u64) -> (Dag, BuildReport) {
         replay.check_twins();
         assert!(replay.triangles() == expected, "{name}: order {seed} does not give the input back");
         if seed == 0 {
-            contains_regions(name, &dag, &replay);
+            contains_regions(name, dag, &replay);
         }
     }
-    (dag, report)
 }
 
 /// The complete mesh around both ends of a split lies in its sphere, and the normals there in its cone.
@@ -251,7 +282,9 @@ fn colour_edges_count_as_errors() {
 #[test]
 fn builds_repeat() {
     let mesh = striped(noisy(sieve(20), 0.3, 6), 3.0);
-    assert!(run(&mesh).0 == run(&mesh).0);
+    for placement in PlacementChoice::ALL {
+        assert!(run_with(&mesh, placement).0 == run_with(&mesh, placement).0);
+    }
 }
 
 #[test]
@@ -268,7 +301,8 @@ fn unclean_meshes_are_refused() {
     let mesh = TriMesh { positions: vec![[f64::NAN; 3]], ..TriMesh::default() };
     let error = build(&mesh, &BuildOptions::default(), &mut |_| {}).unwrap_err();
     assert_eq!(error, BuildError::NotFinite { vertex: 0 });
-    let error = build(&triangle(), &BuildOptions { bits: Some(22) }, &mut |_| {}).unwrap_err();
+    let error =
+        build(&triangle(), &BuildOptions { bits: Some(22), ..BuildOptions::default() }, &mut |_| {}).unwrap_err();
     assert_eq!(error, BuildError::Bits(22));
 }
 
@@ -333,5 +367,15 @@ fn figures_of_real_meshes() {
         );
         let rate = mesh.faces.len() as f64 / seconds * 1e-6;
         println!("{name}: {seconds:.3} s, {rate:.3} M tri/s; {}", serde_json::to_string(&report).unwrap());
+        for max_faces in [mesh.faces.len() / 4 + 1, mesh.faces.len() / 32 + 1] {
+            let before = cpu();
+            let chunked = chunked::build(&mesh, max_faces, 1, PlacementChoice::default());
+            let seconds = cpu() - before;
+            let over = [1e-2, 1e-3, 3e-4, 1e-4].map(|share| {
+                chunked.splits.iter().filter(|s| f64::from(s.bounds.error.decode()) > share * extent).count()
+            });
+            let base = chunked.base.faces.len();
+            println!("{name} in chunks of {max_faces}: {seconds:.3} s, over {over:?}, base {base}");
+        }
     }
 }

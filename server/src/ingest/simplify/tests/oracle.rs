@@ -132,6 +132,10 @@ impl Replay {
         let record = &dag.splits[(op - spawns) as usize];
         let s = Self::vertex_s(dag, record);
         let t = Vertex::Of(op);
+        let position = self.positions.get_mut(&s).expect("s exists");
+        *position = std::array::from_fn(|k| position[k] + record.s_move[k]);
+        let color = self.colors.get_mut(&s).expect("s exists");
+        *color = std::array::from_fn(|k| color[k].wrapping_add(record.s_color_move[k]));
         self.positions.insert(t, record.position);
         self.colors.insert(t, record.color);
         let left = self.cut(record.left, s);
@@ -205,6 +209,11 @@ impl Replay {
             assert_eq!(record.s, 0);
             record = &dag.splits[(record.tree_parent - spawns) as usize];
         }
+    }
+
+    /// Where `v` is now.
+    pub(super) fn position(&self, v: Vertex) -> [i32; 3] {
+        self.positions[&v]
     }
 
     /// The mesh as a sorted multiset of oriented triangles of (position, colour).
