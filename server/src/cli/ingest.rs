@@ -52,6 +52,9 @@ pub struct IngestArgs {
     /// Bits per coordinate [default: by the length of the mesh's edges].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(BITS))]
     pub bits: Option<u8>,
+    /// Join vertices that are at most this far apart, in model units. Vertices at one place are always joined.
+    #[arg(long, value_name = "DISTANCE", default_value_t = 0.0, value_parser = distance)]
+    pub weld_tolerance: f64,
     /// Threads to work with [default: one per core].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
     pub threads: Option<u32>,
@@ -98,7 +101,8 @@ pub fn run(args: IngestArgs) -> anyhow::Result<()> {
             read_report: serde_json::to_value(&read)?,
             ..Metadata::default()
         };
-        let options = BuildOptions { bits: args.bits, placement: args.placement.into() };
+        let options =
+            BuildOptions { bits: args.bits, placement: args.placement.into(), weld_tolerance: args.weld_tolerance };
         let raw = RawMesh::of(&mesh, &workspace)?;
         drop(mesh);
         let report = publish(&repository, id, raw, metadata, &options, (&plan, &workspace), &progress)
@@ -160,6 +164,13 @@ impl Plan {
     }
 }
 
+fn distance(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(distance) if distance >= 0.0 && distance.is_finite() => Ok(distance),
+        _ => Err(format!("`{text}` is no distance: a number, not below zero")),
+    }
+}
+
 /// A number of bytes: digits, perhaps with a fraction, and a unit.
 fn byte_size(text: &str) -> Result<u64, String> {
     let digits = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
@@ -206,22 +217,23 @@ pub(super) fn publish(
 ) -> anyhow::Result<Published> {
     let triangles = raw.triangles();
     plan.check(raw.vertices())?;
-    let done = ingest(raw, options, workspace, plan.threads, &|step: Progress| {
+    let show = |step: Progress| {
         let stage = match step.stage {
             Stage::Partition => "clean",
             Stage::Simplify => "simplify",
             Stage::Assemble => "assemble",
+            Stage::Write => "write",
         };
         progress.show(stage, (f64::from(step.fraction) * triangles as f64) as u64, Some(triangles));
-    })?;
-    progress.show("write", 0, None);
+    };
+    let done = ingest(raw, options, workspace, plan.threads, &show)?;
     // Times are left out of the pack: the same input gives the same bytes.
     let mut built = serde_json::to_value(&done.built)?;
     if let Some(fields) = built.as_object_mut() {
         fields.remove("timings");
     }
     let metadata = Metadata { clean_report: serde_json::to_value(&done.cleaned)?, build_report: built, ..metadata };
-    let bytes = repository.publish(id, |out| done.write(&metadata, out))?;
+    let bytes = repository.publish(id, |out| done.write(&metadata, out, &show))?;
     Ok(Published { id: id.clone(), cleaned: done.cleaned, built: done.built, bytes })
 }
 

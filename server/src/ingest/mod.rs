@@ -72,12 +72,18 @@ pub struct Ingested {
 }
 
 impl Ingested {
-    /// Writes the pack; see [`pack::write`](fn@crate::pack::write).
+    /// Writes the pack, on the threads that were asked for; see [`pack::write`](fn@crate::pack::write).
     ///
     /// # Errors
     /// As there, and [`SpillError`] in [`WriteError::Source`].
-    pub fn write(&self, metadata: &Metadata, out: &mut (impl Write + Seek + Send)) -> Result<u64, WriteError> {
-        self.pool.install(|| self.assembled.write(&self.complete, metadata, out))
+    pub fn write(
+        &self,
+        metadata: &Metadata,
+        out: &mut (impl Write + Seek + Send),
+        progress: &(dyn Fn(Progress) + Sync),
+    ) -> Result<u64, WriteError> {
+        let mut tell = |fraction| progress(Progress { stage: Stage::Write, fraction });
+        self.pool.install(|| self.assembled.write(&self.complete, metadata, out, &mut tell))
     }
 }
 
@@ -116,7 +122,7 @@ pub fn ingest_to_vec(
     let workspace = Workspace::in_memory();
     let done = ingest(RawMesh::of(mesh, &workspace)?, options, &workspace, 1, &|_| {})?;
     let mut out = Cursor::new(Vec::new());
-    done.write(metadata, &mut out)?;
+    done.write(metadata, &mut out, &|_| {})?;
     Ok((out.into_inner(), done.cleaned, done.built))
 }
 
@@ -130,7 +136,7 @@ fn ingest_in_pool(
     let tell = |stage, fraction| progress(Progress { stage, fraction });
     let started = Instant::now();
     tell(Stage::Partition, 0.0);
-    let partition_options = PartitionOptions::with_bits(options.bits);
+    let partition_options = PartitionOptions::new(options.bits, options.weld_tolerance);
     let (mesh, cleaned) =
         partition(raw, &partition_options, workspace, &mut |fraction| tell(Stage::Partition, fraction))?;
     let partitioned_at = started.elapsed().as_secs_f64();

@@ -71,6 +71,8 @@ pub enum Stage {
     Simplify,
     /// Making records.
     Assemble,
+    /// Writing the pack.
+    Write,
 }
 
 /// How far ingest is.

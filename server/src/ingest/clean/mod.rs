@@ -35,6 +35,8 @@ pub struct CleanReport {
     pub unusable_faces: u64,
     /// Vertices joined to an earlier one at exactly the same position.
     pub welded_vertices: u64,
+    /// Vertices joined to one within the welding tolerance, if one was given.
+    pub near_vertices: u64,
     /// Faces dropped because they name a vertex twice.
     pub degenerate_faces: u64,
     /// Faces dropped because they repeat an earlier one.
@@ -91,6 +93,7 @@ pub fn clean(mut mesh: TriMesh) -> (TriMesh, CleanReport) {
         triangles_before,
         unusable_faces,
         welded_vertices,
+        near_vertices: 0,
         degenerate_faces,
         duplicate_faces,
         unreferenced_vertices,
@@ -119,6 +122,7 @@ impl fmt::Display for CleanReport {
         let lines = [
             (self.unusable_faces, "faces without finite positions dropped"),
             (self.welded_vertices, "vertices welded to another at the same position"),
+            (self.near_vertices, "vertices joined within the tolerance"),
             (self.degenerate_faces, "faces with a repeated vertex dropped"),
             (self.duplicate_faces, "duplicate faces dropped"),
             (self.unreferenced_vertices, "vertices without a face dropped"),

@@ -5,7 +5,7 @@
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use bytemuck::{Pod, Zeroable};
+use bytemuck::{AnyBitPattern, NoUninit, Pod, Zeroable};
 
 use super::bits::Bits;
 use super::runs::{Runs, blocks_in_order};
@@ -122,16 +122,8 @@ pub(super) fn compact(sorted: Sorted, census: &mut Census, workspace: &Workspace
         return Ok(sorted);
     }
     let kept = &census.referenced;
-    let mut positions = workspace.spill();
-    keep(&sorted.positions, kept, &mut positions)?;
-    let colors = match &sorted.colors {
-        Some(colors) => {
-            let mut kept_colors = workspace.spill();
-            keep(colors, kept, &mut kept_colors)?;
-            Some(kept_colors.finish()?)
-        }
-        None => None,
-    };
+    let positions = keep(&sorted.positions, kept, workspace)?;
+    let colors = sorted.colors.map(|colors| keep(&colors, kept, workspace)).transpose()?;
     let ranks = kept.ranks();
     let mut numbers = sorted.numbers;
     for number in numbers.iter_mut().filter(|number| **number != NONE) {
@@ -143,14 +135,16 @@ pub(super) fn compact(sorted: Sorted, census: &mut Census, workspace: &Workspace
         v += 1;
         kept.get(v - 1)
     });
-    Ok(Sorted { positions: positions.finish()?, colors, numbers })
+    Ok(Sorted { positions, colors, numbers })
 }
 
-fn keep<T: bytemuck::NoUninit + bytemuck::AnyBitPattern>(
+/// The items of the vertices that are kept.
+pub(super) fn keep<T: NoUninit + AnyBitPattern>(
     items: &Spill<T>,
     kept: &Bits,
-    out: &mut crate::ingest::spill::SpillWriter<'_, T>,
-) -> Result<(), SpillError> {
+    workspace: &Workspace,
+) -> Result<Spill<T>, SpillError> {
+    let mut out = workspace.spill();
     let mut result = Ok(());
     let mut part = Vec::new();
     items.for_each_block(|first, block| {
@@ -160,7 +154,8 @@ fn keep<T: bytemuck::NoUninit + bytemuck::AnyBitPattern>(
             result = out.push(&part);
         }
     })?;
-    result
+    result?;
+    out.finish()
 }
 
 impl Census {

@@ -6,6 +6,7 @@
 //!
 //! 1. [`scan`]: which vertices count.
 //! 2. [`sort`]: vertices along the curve, equal ones joined. From here on a vertex is a number.
+//!    [`near`] joins those that are almost equal, on request.
 //! 3. [`faces`]: ranges of numbers become chunks, and each face goes to the chunks of its corners.
 //! 4. [`survey`]: each chunk, in memory, drops duplicates and looks around each of its vertices.
 //! 5. [`orient`] if faces disagree, [`trouble`] if something is not manifold: both see only what the survey found.
@@ -19,6 +20,7 @@ mod faces;
 mod finish;
 mod lattice;
 mod local;
+mod near;
 mod orient;
 mod runs;
 mod scan;
@@ -52,13 +54,14 @@ pub(crate) struct PartitionOptions {
     /// Bits of the lattice per axis, 8 to 21. `None`: the fewest from 12 on for which a step is at most 1/16 of the mean edge
     /// and half the 1st-percentile edge.
     pub(crate) bits: Option<u8>,
+    /// Vertices that are this close together, in model units, are joined, one after the other; 0 for none.
+    pub(crate) weld_tolerance: f64,
     limits: Limits,
 }
 
 impl PartitionOptions {
-    /// The default with these lattice bits.
-    pub(crate) fn with_bits(bits: Option<u8>) -> Self {
-        Self { bits, ..Self::default() }
+    pub(crate) fn new(bits: Option<u8>, weld_tolerance: f64) -> Self {
+        Self { bits, weld_tolerance, ..Self::default() }
     }
 }
 
@@ -87,6 +90,9 @@ pub enum PartitionError {
     /// Lattice bits out of range.
     #[error("{0} bits per axis is outside 8 to 21")]
     Bits(u8),
+    /// The welding tolerance is negative, infinite or not a number.
+    #[error("a welding tolerance of {0} is no distance")]
+    Tolerance(f64),
     /// More than 32-bit half-edge ids can number.
     #[error("{vertices} vertices and {faces} faces are too many for one model")]
     TooLarge {
@@ -124,10 +130,15 @@ pub(crate) fn partition(
     let usage = scan::usage(&raw)?;
     progress(0.1);
     let sorted = sort::sort(&raw, &usage, options.limits, workspace)?;
-    progress(0.4);
     let RawMesh { faces, .. } = raw;
-    let mut census = faces::census(&faces, &sorted)?;
     let welded_vertices = usage.used_count - sorted.positions.len();
+    progress(0.3);
+    let (sorted, near_vertices) = match options.weld_tolerance {
+        0.0 => (sorted, 0),
+        tolerance => near::join_near(sorted, tolerance, usage.extent, options.limits.vertices, workspace)?,
+    };
+    progress(0.4);
+    let mut census = faces::census(&faces, &sorted)?;
     let sorted = faces::compact(sorted, &mut census, workspace)?;
     let ranges = census.ranges(options.limits.faces);
     let (degenerate_faces, vertex_count) = (census.degenerate_faces, census.vertices);
@@ -169,9 +180,10 @@ pub(crate) fn partition(
         triangles_before,
         unusable_faces: usage.unusable_faces,
         welded_vertices,
+        near_vertices,
         degenerate_faces,
         duplicate_faces,
-        unreferenced_vertices: vertices_before - vertex_count - welded_vertices,
+        unreferenced_vertices: vertices_before - vertex_count - welded_vertices - near_vertices,
         turned_faces,
         one_sided_edges: counts.one_sided_edges,
         non_manifold_edges: counts.non_manifold_edges,
@@ -189,6 +201,9 @@ pub(crate) fn partition(
 fn check(raw: &RawMesh, options: &PartitionOptions) -> Result<(), PartitionError> {
     if let Some(bits) = options.bits.filter(|bits| !(MIN_LATTICE_BITS..=MAX_LATTICE_BITS).contains(bits)) {
         return Err(PartitionError::Bits(bits));
+    }
+    if !(0.0..f64::INFINITY).contains(&options.weld_tolerance) {
+        return Err(PartitionError::Tolerance(options.weld_tolerance));
     }
     let (vertices, faces) = (raw.positions.len(), raw.faces.len());
     if vertices > u64::from(u32::MAX) || faces > MAX_TRIANGLES as u64 {

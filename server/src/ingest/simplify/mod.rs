@@ -26,11 +26,13 @@ pub use self::placement::PlacementChoice;
 pub(crate) use self::tree::simplify;
 
 /// Choices of a build.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BuildOptions {
     /// Bits of the lattice per axis, 8 to 21. `None`: the fewest from 12 on for which a step is at most 1/16 of the mean edge
     /// and half the 1st-percentile edge.
     pub bits: Option<u8>,
     /// Where the vertex that a collapse leaves lies.
     pub placement: PlacementChoice,
+    /// Vertices that are this close together, in model units, are joined, one after the other; 0 for none but those at one place.
+    pub weld_tolerance: f64,
 }

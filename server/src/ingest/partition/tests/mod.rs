@@ -14,17 +14,21 @@ use crate::ingest::hierarchy::forest::morton;
 use crate::ingest::simplify::lattice::{choose, round};
 use crate::mesh::TriMesh;
 use crate::mesh::audit::audit;
-use crate::mesh::edges::EdgeTable;
+use crate::mesh::edges::{DisjointSets, EdgeTable};
 use crate::pack::CompleteMesh;
 
 /// Few enough for a mesh of a few hundred faces to have chunks of chunks.
 const SMALL: Limits = Limits { vertices: 20, faces: 12 };
 
 fn run(mesh: &TriMesh, bits: Option<u8>, limits: Limits, memory: u64) -> (ChunkedMesh, CleanReport) {
+    run_with(mesh, &PartitionOptions { bits, limits, ..PartitionOptions::default() }, memory)
+}
+
+fn run_with(mesh: &TriMesh, options: &PartitionOptions, memory: u64) -> (ChunkedMesh, CleanReport) {
     let workspace = Workspace::new(&std::env::temp_dir(), memory);
     let raw = RawMesh::of(mesh, &workspace).unwrap();
     let mut told = vec![0.0];
-    let result = partition(raw, &PartitionOptions { bits, limits }, &workspace, &mut |done| told.push(done)).unwrap();
+    let result = partition(raw, options, &workspace, &mut |done| told.push(done)).unwrap();
     assert!(told.is_sorted() && told.iter().all(|done| (0.0..=1.0).contains(done)), "{told:?}");
     result
 }
@@ -352,17 +356,34 @@ fn an_outlier_far_away_costs_passes_but_not_memory() {
 }
 
 #[test]
+fn extremes_of_connectivity() {
+    let (mesh, report) = run(&separate(1_000_000, 5), Some(16), Limits::default(), 0);
+    assert_eq!((report.components, mesh.components.of_patch.len()), (1_000_000, 1_000_000));
+    let point = TriMesh { positions: vec![[2.5; 3]; 300_000], ..separate(100_000, 5) };
+    let report = run(&point, None, Limits { vertices: 1000, ..Limits::default() }, 0).1;
+    assert_eq!((report.welded_vertices, report.degenerate_faces, report.triangles_after), (299_999, 100_000, 0));
+    // Every vertex on one point of the lattice, but no two at one position.
+    let mut crowd = sheet(60, 60);
+    crowd.positions.iter_mut().flatten().for_each(|x| *x = *x * 1e-15 + 1.0);
+    crowd.positions[0] = [1e12; 3];
+    check(&crowd, Some(8));
+}
+
+#[test]
 fn one_vertex_with_many_faces_may_have_a_large_chunk() {
-    let count = 3000;
+    let count = 100_000;
     let mut mesh = TriMesh { positions: vec![[0.0; 3]], faces: Vec::new(), colors: None };
     for k in 0..count {
         let turn = f64::from(k) / f64::from(count) * std::f64::consts::TAU;
         mesh.positions.push([turn.cos(), turn.sin(), 1.0]);
         mesh.faces.push([0, 1 + k, 1 + (k + 1) % count]);
     }
-    check(&mesh, None);
-    let (mesh, _) = run(&mesh, None, SMALL, 0);
-    assert!((0..mesh.chunk_count()).any(|c| mesh.chunk(c).unwrap().len() > SMALL.faces) || mesh.chunk_count() > 200);
+    let limits = Limits { vertices: 5000, faces: 3000 };
+    let result = run(&mesh, None, limits, 0);
+    check_chunks(&result.0, limits);
+    check_twin(&mesh, None, &result);
+    let mesh = result.0;
+    assert!((0..mesh.chunk_count()).any(|c| mesh.chunk(c).unwrap().len() > 3000) || mesh.chunk_count() > 30);
 }
 
 #[test]
@@ -436,17 +457,93 @@ fn the_percentile_is_counted_again_where_it_decides() {
 #[test]
 fn bad_options_and_meshes_are_refused() {
     let workspace = Workspace::in_memory();
-    let error = |mesh: &TriMesh, bits| {
+    let error = |mesh: &TriMesh, bits, weld_tolerance| {
         let raw = RawMesh::of(mesh, &workspace).unwrap();
-        partition(raw, &PartitionOptions::with_bits(bits), &workspace, &mut |_| {}).unwrap_err().to_string()
+        let options = PartitionOptions { bits, weld_tolerance, ..PartitionOptions::default() };
+        partition(raw, &options, &workspace, &mut |_| {}).unwrap_err().to_string()
     };
-    assert_eq!(error(&triangle(), Some(22)), "22 bits per axis is outside 8 to 21");
+    assert_eq!(error(&triangle(), Some(22), 0.0), "22 bits per axis is outside 8 to 21");
+    assert_eq!(error(&triangle(), None, -0.5), "a welding tolerance of -0.5 is no distance");
+    assert_eq!(error(&triangle(), None, f64::NAN), "a welding tolerance of NaN is no distance");
     let colors = Some(vec![[0; 3]; 2]);
-    assert_eq!(error(&TriMesh { colors, ..triangle() }, None), "2 colours for 3 vertices");
+    assert_eq!(error(&TriMesh { colors, ..triangle() }, None, 0.0), "2 colours for 3 vertices");
     let workspace = Workspace::new(Path::new("no/such/directory"), 3 << 20);
     let raw = RawMesh::of(&triangle(), &workspace).unwrap();
     let result = partition(raw, &PartitionOptions::default(), &workspace, &mut |_| {});
     assert_eq!(result.unwrap_err().to_string(), "cannot make temporary data in no/such/directory");
+}
+
+/// All pairs of used vertices compared; the first of each set keeps its position.
+fn joined_near(mesh: &TriMesh, tolerance: f64) -> TriMesh {
+    let is_usable = |face: &[u32; 3]| {
+        face.iter().all(|&v| mesh.positions.get(v as usize).is_some_and(|p| p.iter().all(|x| x.is_finite())))
+    };
+    let mut used: Vec<u32> = mesh.faces.iter().filter(|face| is_usable(face)).flatten().copied().collect();
+    used.sort_unstable();
+    used.dedup();
+    let mut sets = DisjointSets::new(mesh.positions.len());
+    for (k, &a) in used.iter().enumerate() {
+        for &b in &used[..k] {
+            let [p, q] = [a, b].map(|v| mesh.positions[v as usize]);
+            if (0..3).map(|k| (p[k] - q[k]) * (p[k] - q[k])).sum::<f64>() <= tolerance * tolerance {
+                sets.join(a, b);
+            }
+        }
+    }
+    let mut mesh = mesh.clone();
+    for face in mesh.faces.iter_mut().filter(|face| face.iter().all(|v| used.binary_search(v).is_ok())) {
+        *face = face.map(|v| sets.find(v));
+    }
+    mesh
+}
+
+#[test]
+fn near_vertices_are_joined_as_by_comparing_all() {
+    let mut random = fastrand::Rng::with_seed(21);
+    let mut joined = 0;
+    for round in 0..60 {
+        let mut mesh = [sheet(9, 8), exploded(&torus(10, 9)), separate(60, round)][round as usize % 3].clone();
+        let amount = [0.0, 1e-6, 0.02, 0.1][random.usize(..4)];
+        mesh.positions.iter_mut().flatten().for_each(|x| *x += (random.f64() - 0.5) * amount);
+        if round % 7 == 0 {
+            mesh.positions[5][1] = f64::NAN;
+            mesh.positions[9][0] = 1e9;
+        }
+        for tolerance in [1e-9, 2.0 * amount.max(1e-7), 0.9, 50.0] {
+            let options = PartitionOptions { weld_tolerance: tolerance, limits: SMALL, ..PartitionOptions::default() };
+            let (chunked, report) = run_with(&mesh, &options, 0);
+            check_chunks(&chunked, SMALL);
+            let (cleaned, twin) = clean(joined_near(&mesh, tolerance));
+            if twin.one_sided_edges > 0 {
+                continue;
+            }
+            let lattice = choose(&cleaned, None);
+            assert_eq!(chunked.lattice, lattice);
+            let rounded: Vec<[i32; 3]> = cleaned.positions.iter().map(|&p| lattice.quantize(p)).collect();
+            assert_eq!(chunked.complete, CompleteMesh::of(&rounded, None, &cleaned.faces));
+            // Where exact copies are in a set, the twin has no use for them any more.
+            let gone = report.welded_vertices + report.near_vertices + report.unreferenced_vertices;
+            assert_eq!(gone, twin.welded_vertices + twin.unreferenced_vertices);
+            assert_eq!(report.degenerate_faces, twin.degenerate_faces);
+            joined += report.near_vertices;
+        }
+    }
+    assert!(joined > 1000, "{joined}");
+}
+
+#[test]
+fn a_crack_is_closed_within_the_tolerance_only() {
+    let mut mesh = exploded(&sheet(12, 12));
+    let mut random = fastrand::Rng::with_seed(2);
+    mesh.positions.iter_mut().flatten().for_each(|x| *x += (random.f64() - 0.5) * 1e-3);
+    let joined = |weld_tolerance| {
+        let options = PartitionOptions { weld_tolerance, limits: SMALL, ..PartitionOptions::default() };
+        run_with(&mesh, &options, u64::MAX).1
+    };
+    assert_eq!(joined(1e-9).components, 2 * 12 * 12);
+    let report = joined(3e-3);
+    assert_eq!((report.components, report.vertices_after, report.triangles_after), (1, 13 * 13, 2 * 12 * 12));
+    assert!(report.to_string().contains(&format!("{} vertices joined within the tolerance", 3 * 288 - 169)));
 }
 
 /// Every real mesh in the folder that `LODESTREAM_MESHES` names.
@@ -480,4 +577,39 @@ fn real_meshes_are_what_they_are_in_memory() {
             }
         }
     }
+}
+
+/// Partitions the file that `LODESTREAM_PLY` names with spills in files, and prints time and memory.
+#[test]
+#[ignore = "prints figures, proves nothing"]
+fn figures() {
+    let Some(path) = std::env::var_os("LODESTREAM_PLY") else { return };
+    let workspace = Workspace::new(&std::env::temp_dir(), 0);
+    let raw = {
+        let (mesh, _) = crate::ingest::read::read_mesh(Path::new(&path)).unwrap();
+        RawMesh::of(&mesh, &workspace).unwrap()
+    };
+    // Linux starts the peak anew; elsewhere it is not known.
+    let _ = std::fs::write("/proc/self/clear_refs", "5");
+    let status = |what: &str| {
+        let text = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+        text.lines().find(|line| line.starts_with(what)).unwrap_or_default().to_owned()
+    };
+    // User and system time of all threads, in hundredths of a second.
+    let cpu = || {
+        let text = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+        let times = text.split(' ').skip(13).take(2).map(|ticks| ticks.parse::<u64>().unwrap_or(0));
+        times.collect::<Vec<_>>()
+    };
+    println!("before: {} {:?}", status("VmRSS"), cpu());
+    let (start, mut last) = (std::time::Instant::now(), 0.0);
+    let (mesh, report) = partition(raw, &PartitionOptions::default(), &workspace, &mut |done| {
+        if done - last >= 0.05 {
+            last = done;
+            println!("{:3.0} % {:?} {:?} {}", done * 100.0, start.elapsed(), cpu(), status("VmHWM"));
+        }
+    })
+    .unwrap();
+    println!("{:?} {:?} {} {}\n{report}", start.elapsed(), cpu(), status("VmHWM"), status("VmRSS"));
+    println!("{} chunks, {} bits", mesh.chunk_count(), mesh.lattice.bits);
 }
