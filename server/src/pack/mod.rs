@@ -30,7 +30,7 @@ pub use layout::{PAGE_OPS, VERSION};
 pub use metadata::Metadata;
 pub use page::{Column, TestPage};
 pub use read::{PackedModel, SplitFields};
-pub use replay::{extract_complete, parents_first, replay};
+pub use replay::{extract, extract_complete, parents_first, replay, replay_ops};
 pub use verify::{VerifyReport, verify};
 pub use write::{WriteError, write, write_to_vec};
 

@@ -28,6 +28,7 @@ use lodestream_protocol::wire;
 use self::mirror::{BatchPlan, Mirror, MirrorError};
 use self::pacer::Pacer;
 use self::score::Scorer;
+pub use self::select::ops_for_view;
 use self::select::select;
 use crate::pack::{PackError, PackedModel};
 
