@@ -11,6 +11,7 @@ pub mod progress;
 pub mod sample;
 pub mod screen_error;
 pub mod serve;
+mod usage;
 pub mod verify;
 
 use std::io::Write as _;
