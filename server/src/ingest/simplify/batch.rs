@@ -14,7 +14,7 @@ use super::{
 use crate::ingest::hierarchy::{
     Collapse, Point,
     bounds::{self, Carried},
-    deviation::{Samples, Star},
+    deviation::{Samples, Star, Surroundings},
 };
 
 /// Share of the edges that a pass considers, cheapest first.
@@ -78,6 +78,10 @@ pub(crate) struct Simplifier<'a> {
     normals: Vec<DVec3>,
     /// Edges at the vertex just kept, as half-edges, and their other ends.
     around: Vec<(u32, u32)>,
+    /// The same at a vertex beside it.
+    edges: Vec<(u32, u32)>,
+    /// Faces that the collapse changed.
+    changed: Vec<u32>,
 }
 
 /// What came of an attempt.
@@ -139,6 +143,8 @@ impl<'a> Simplifier<'a> {
             ring: Vec::new(),
             normals: Vec::new(),
             around: Vec::new(),
+            edges: Vec::new(),
+            changed: Vec::new(),
             surface,
         };
         simplifier.renew_all_keys();
@@ -382,7 +388,7 @@ impl<'a> Simplifier<'a> {
         let Self { surface, around, .. } = self;
         around.clear();
         surface.for_each_edge(s, |h, v| around.push((h, v)));
-        self.star.reset(&ps, self.around.iter().map(|&(_, v)| points[v as usize]), !ps.is_boundary);
+        self.star.reset(points, s, self.around.iter().copied());
         for i in 0..self.around.len() {
             let (h, v) = self.around[i];
             self.changed_in[v as usize] = self.passes;
@@ -393,7 +399,8 @@ impl<'a> Simplifier<'a> {
         let rms = RMS_FACTOR * self.quadrics[s as usize].rms();
         let enough = inherited.max(rms) / SAMPLED_FACTOR;
         let deviation = self.samples.merge(points, s, t, &self.star, enough);
-        let own = rms.max(SAMPLED_FACTOR * deviation.distance).max(COLOR_FACTOR * deviation.color);
+        let beside = self.measure_around(site, enough.max(deviation.distance));
+        let own = rms.max(SAMPLED_FACTOR * deviation.distance.max(beside)).max(COLOR_FACTOR * deviation.color);
         let own = if own < SMALLEST_ERROR { 0.0 } else { own };
         let (sphere, normals) = region;
         let children = [s, t].map(|v| self.carried[v as usize].child());
@@ -412,6 +419,20 @@ impl<'a> Simplifier<'a> {
             first_of_t,
             bounds: stored,
         });
+    }
+
+    /// Largest distance over `enough` of the samples beside a collapse that has just been done, or 0.
+    fn measure_around(&mut self, site: Site, enough: f64) -> f64 {
+        let Self { surface, points, samples, examined, changed, edges, star, .. } = self;
+        changed.clear();
+        changed.extend(examined.arc.iter().copied().chain(site.left).chain(site.right).map(|h| h / 3));
+        examined.around.retain(|&v| v != site.s);
+        let surroundings = Surroundings { around: &examined.around, changed };
+        samples.measure_around(points, surroundings, star, enough, |star, v| {
+            edges.clear();
+            surface.for_each_edge(v, |h, w| edges.push((h, w)));
+            star.reset(points, v, edges.iter().copied());
+        })
     }
 
     fn renew_key(&mut self, h: u32) {
