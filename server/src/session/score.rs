@@ -26,7 +26,10 @@ pub struct Scorer {
     parallel: Option<DVec3>,
     culls_facing_away: bool,
     silhouette_factor: f64,
+    /// Whether priorities are errors in lattice steps, whatever the camera.
     complete: bool,
+    /// Whether even errors of zero are wanted.
+    wants_all: bool,
     threshold: f32,
 }
 
@@ -74,14 +77,38 @@ impl Scorer {
             culls_facing_away: !(view.two_sided || is_open),
             silhouette_factor: f64::from(view.silhouette_factor),
             complete: view.complete,
+            wants_all: view.complete,
             threshold: if view.complete { 0.0 } else { view.tolerance_px },
         }
+    }
+
+    /// Wants every op with an error over so many lattice steps, whatever the camera.
+    pub fn by_error(steps: f32) -> Self {
+        Self {
+            eye: DVec3::ZERO,
+            planes: Vec::new(),
+            pixel_scale: 1.0,
+            near: 1.0,
+            forward: DVec3::NEG_Z,
+            corner_cosine: 1.0,
+            parallel: None,
+            culls_facing_away: false,
+            silhouette_factor: 1.0,
+            complete: true,
+            wants_all: false,
+            threshold: steps,
+        }
+    }
+
+    /// Wants what has no error, too.
+    pub fn with_all(self) -> Self {
+        Self { wants_all: true, ..self }
     }
 
     /// Whether an op of this priority is wanted, limits aside.
     #[inline]
     pub fn wants(&self, priority: f32) -> bool {
-        self.complete || priority > self.threshold
+        self.wants_all || priority > self.threshold
     }
 
     /// Largest priority that is not wanted.

@@ -75,6 +75,19 @@ pub fn ops_for_view(model: &PackedModel, view: &View) -> Result<Vec<u32>, PackEr
     Ok(select(model, &scorer, view.triangle_limit)?.ops)
 }
 
+/// Every op with an error of more than `error` in model units, and what they need, within a triangle limit: parents before
+/// children, otherwise by error. Without `error` every op.
+///
+/// # Errors
+/// [`PackError`] if a page is damaged.
+pub fn ops_by_error(model: &PackedModel, error: Option<f64>, limit: u32) -> Result<Vec<u32>, PackError> {
+    let scorer = match error {
+        Some(error) => Scorer::by_error((error / model.info().lattice.step) as f32),
+        None => Scorer::by_error(0.0).with_all(),
+    };
+    Ok(select(model, &scorer, limit)?.ops)
+}
+
 /// Computes P* for a view under a triangle limit.
 pub(crate) fn select(model: &PackedModel, scorer: &Scorer, limit: u32) -> Result<Selection, PackError> {
     let mut walk = Walk {
