@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::UsageError;
-use super::export::{ply_path, write_mesh};
+use super::export::{mesh_path, write_mesh};
 use crate::ingest::sample::{MAX_TRIANGLES, MIN_TRIANGLES, SampleOptions, generate_with};
 
 /// Write a generated scan of any size.
@@ -19,7 +19,7 @@ pub struct SampleArgs {
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = noise)]
     pub noise: f64,
     /// The file to write, in the format PLY.
-    #[arg(value_name = "FILE", value_parser = ply_path)]
+    #[arg(value_name = "FILE", value_parser = mesh_path)]
     pub output: PathBuf,
 }
 

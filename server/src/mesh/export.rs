@@ -1,4 +1,4 @@
-//! Meshes out: PLY, OBJ and STL. GLB comes later.
+//! Meshes out: PLY, OBJ, STL and GLB.
 //!
 //! Writers need no buffering of their own from the caller: they hand over large pieces.
 
@@ -6,6 +6,45 @@ use std::fmt::Write as _;
 use std::io::{self, Write};
 
 use super::TriMesh;
+
+mod glb;
+
+pub use glb::write_glb;
+
+/// A file format to write.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ExportFormat {
+    /// Binary PLY with `double` coordinates: nothing is lost.
+    Ply,
+    /// Wavefront OBJ: nothing is lost.
+    Obj,
+    /// Binary STL: no colours, no shared vertices, `f32`.
+    Stl,
+    /// Binary glTF: `f32` about the middle of the box.
+    Glb,
+}
+
+impl ExportFormat {
+    /// The format that a file's extension names.
+    pub fn of(path: &std::path::Path) -> Option<Self> {
+        let extension = path.extension()?.to_str()?.to_ascii_lowercase();
+        let formats = [("ply", Self::Ply), ("obj", Self::Obj), ("stl", Self::Stl), ("glb", Self::Glb)];
+        formats.into_iter().find(|(name, _)| *name == extension).map(|(_, format)| format)
+    }
+}
+
+/// Writes a mesh in a format.
+///
+/// # Errors
+/// Those of the format's writer.
+pub fn write_as(format: ExportFormat, mesh: &TriMesh, out: &mut impl Write) -> io::Result<()> {
+    match format {
+        ExportFormat::Ply => write_ply(mesh, &PlyOptions::default(), out),
+        ExportFormat::Obj => write_obj(mesh, out),
+        ExportFormat::Stl => write_stl(mesh, out),
+        ExportFormat::Glb => write_glb(mesh, out),
+    }
+}
 
 /// Type of the coordinates in a PLY file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

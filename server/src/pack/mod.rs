@@ -33,7 +33,7 @@ pub use metadata::Metadata;
 pub(crate) use outline::{Outline, SplitSource};
 pub use page::{Column, TestPage};
 pub use read::{PackedModel, SplitFields};
-pub use replay::{extract_complete, parents_first, replay};
+pub use replay::{extract, extract_complete, parents_first, replay, replay_ops};
 pub use verify::{VerifyReport, verify};
 pub(crate) use write::write_splits;
 pub use write::{WriteError, write, write_to_vec};

@@ -29,6 +29,7 @@ use self::mirror::{BatchPlan, Mirror, MirrorError};
 use self::pacer::Pacer;
 use self::score::Scorer;
 use self::select::select;
+pub use self::select::{ops_by_error, ops_for_view};
 use crate::pack::{PackError, PackedModel};
 
 /// How long after the last view an op stays although its priority fell a little below the threshold.

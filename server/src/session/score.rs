@@ -18,11 +18,18 @@ pub struct Scorer {
     /// Pixels per lattice step at distance of one step, or anywhere for parallel rays.
     pixel_scale: f64,
     near: f64,
+    /// Viewing direction.
+    forward: DVec3,
+    /// Smallest depth over distance of a point inside the frustum: that of its corners.
+    corner_cosine: f64,
     /// Viewing direction of parallel rays.
     parallel: Option<DVec3>,
     culls_facing_away: bool,
     silhouette_factor: f64,
+    /// Whether priorities are errors in lattice steps, whatever the camera.
     complete: bool,
+    /// Whether even errors of zero are wanted.
+    wants_all: bool,
     threshold: f32,
 }
 
@@ -46,9 +53,14 @@ impl Scorer {
                 offset: (plane.normal.dot(origin) + plane.offset) / lattice.step,
             })
             .collect();
-        let parallel = match view.projection {
-            Projection::Perspective { .. } => None,
-            Projection::Orthographic { .. } => Some(view.rotation() * DVec3::NEG_Z),
+        let forward = view.rotation() * DVec3::NEG_Z;
+        let (parallel, corner_cosine) = match view.projection {
+            Projection::Perspective { fov_y_rad } => {
+                let y = f64::from(fov_y_rad / 2.0).tan();
+                let x = y * f64::from(view.aspect);
+                (None, 1.0 / (1.0 + x * x + y * y).sqrt())
+            }
+            Projection::Orthographic { .. } => (Some(forward), 1.0),
         };
         let pixel_scale = match parallel {
             None => view.pixel_scale(),
@@ -59,18 +71,44 @@ impl Scorer {
             planes,
             pixel_scale,
             near: (view.near / lattice.step).max(1e-6),
+            forward,
+            corner_cosine,
             parallel,
             culls_facing_away: !(view.two_sided || is_open),
             silhouette_factor: f64::from(view.silhouette_factor),
             complete: view.complete,
+            wants_all: view.complete,
             threshold: if view.complete { 0.0 } else { view.tolerance_px },
         }
+    }
+
+    /// Wants every op with an error over so many lattice steps, whatever the camera.
+    pub fn by_error(steps: f32) -> Self {
+        Self {
+            eye: DVec3::ZERO,
+            planes: Vec::new(),
+            pixel_scale: 1.0,
+            near: 1.0,
+            forward: DVec3::NEG_Z,
+            corner_cosine: 1.0,
+            parallel: None,
+            culls_facing_away: false,
+            silhouette_factor: 1.0,
+            complete: true,
+            wants_all: false,
+            threshold: steps,
+        }
+    }
+
+    /// Wants what has no error, too.
+    pub fn with_all(self) -> Self {
+        Self { wants_all: true, ..self }
     }
 
     /// Whether an op of this priority is wanted, limits aside.
     #[inline]
     pub fn wants(&self, priority: f32) -> bool {
-        self.complete || priority > self.threshold
+        self.wants_all || priority > self.threshold
     }
 
     /// Largest priority that is not wanted.
@@ -97,7 +135,10 @@ impl Scorer {
         }
         let mut pixels = f64::from(error) * self.pixel_scale;
         if self.parallel.is_none() {
-            pixels /= (distance - radius).max(self.near);
+            // Size on screen goes by depth, not distance: of two lower bounds on the depth of what is in the frustum and in
+            // the sphere, the first serves near the axis, the other for large spheres beside it. Both grow as spheres shrink.
+            let depth = (to_center.dot(self.forward) - radius).max((distance - radius) * self.corner_cosine);
+            pixels /= depth.max(self.near);
         }
         if facing == Facing::Both {
             pixels *= self.silhouette_factor;

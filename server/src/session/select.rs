@@ -10,6 +10,8 @@
 use std::collections::BinaryHeap;
 use std::hash::BuildHasherDefault;
 
+use lodestream_protocol::view::View;
+
 use super::score::Scorer;
 use crate::pack::record::{CutRef, NO_OP};
 use crate::pack::{PackError, PackedModel};
@@ -62,6 +64,28 @@ pub(crate) fn triangles_of(model: &PackedModel, op: u32) -> Result<u32, PackErro
     }
     let fields = model.split(op)?;
     Ok(u32::from(fields.left != CutRef::None) + u32::from(fields.right != CutRef::None))
+}
+
+/// P* for a view and its triangle limit: parents before children, otherwise in order of priority. What a settled session holds.
+///
+/// # Errors
+/// [`PackError`] if a page is damaged.
+pub fn ops_for_view(model: &PackedModel, view: &View) -> Result<Vec<u32>, PackError> {
+    let scorer = Scorer::new(view, &model.info().lattice, model.info().is_open);
+    Ok(select(model, &scorer, view.triangle_limit)?.ops)
+}
+
+/// Every op with an error of more than `error` in model units, and what they need, within a triangle limit: parents before
+/// children, otherwise by error. Without `error` every op.
+///
+/// # Errors
+/// [`PackError`] if a page is damaged.
+pub fn ops_by_error(model: &PackedModel, error: Option<f64>, limit: u32) -> Result<Vec<u32>, PackError> {
+    let scorer = match error {
+        Some(error) => Scorer::by_error((error / model.info().lattice.step) as f32),
+        None => Scorer::by_error(0.0).with_all(),
+    };
+    Ok(select(model, &scorer, limit)?.ops)
 }
 
 /// Computes P* for a view under a triangle limit.

@@ -15,7 +15,7 @@ use super::{
 use crate::ingest::hierarchy::{
     Collapse, Point,
     bounds::{self, Carried},
-    deviation::{Samples, Star},
+    deviation::{Samples, Star, Surroundings},
 };
 
 /// Share of the edges that a pass considers, cheapest first.
@@ -82,6 +82,10 @@ pub(crate) struct Simplifier {
     normals: Vec<DVec3>,
     /// Edges at the vertex just kept, as half-edges, and their other ends.
     around: Vec<(u32, u32)>,
+    /// The same at a vertex beside it.
+    edges: Vec<(u32, u32)>,
+    /// Faces that the collapse changed.
+    changed: Vec<u32>,
 }
 
 /// How vertices that stay move.
@@ -156,6 +160,8 @@ impl Simplifier {
             ring: Vec::new(),
             normals: Vec::new(),
             around: Vec::new(),
+            edges: Vec::new(),
+            changed: Vec::new(),
             surface,
         };
         simplifier.renew_all_keys();
@@ -432,7 +438,7 @@ impl Simplifier {
         let Self { surface, around, points, .. } = self;
         around.clear();
         surface.for_each_edge(s, |h, v| around.push((h, v)));
-        self.star.reset(&ps, around.iter().map(|&(_, v)| points[v as usize]), !ps.is_boundary);
+        self.star.reset(points, s, around.iter().copied());
         for i in 0..self.around.len() {
             let (h, v) = self.around[i];
             self.changed_in[v as usize] = self.passes;
@@ -443,7 +449,8 @@ impl Simplifier {
         let rms = RMS_FACTOR * self.quadrics[s as usize].rms();
         let enough = inherited.max(rms) / SAMPLED_FACTOR;
         let deviation = self.samples.merge([s, t], before, self.mover.is_some(), &self.star, enough);
-        let own = rms.max(SAMPLED_FACTOR * deviation.distance).max(COLOR_FACTOR * deviation.color);
+        let beside = self.measure_around(site, place.is_some(), enough.max(deviation.distance));
+        let own = rms.max(SAMPLED_FACTOR * deviation.distance.max(beside)).max(COLOR_FACTOR * deviation.color);
         let own = if own < SMALLEST_ERROR { 0.0 } else { own };
         let (sphere, normals) = region;
         let children = [s, t].map(|v| self.carried[v as usize].child());
@@ -473,6 +480,29 @@ impl Simplifier {
         let share = placement::share([&from, &other], place.at);
         let color = placement::color(from.color, other.color, share);
         self.points[s as usize] = Point { position: place.at, color, is_boundary: from.is_boundary };
+    }
+
+    /// Largest distance over `enough` of the samples beside a collapse that has just been done, or 0.
+    fn measure_around(&mut self, site: Site, has_moved: bool, enough: f64) -> f64 {
+        let Self { surface, points, samples, examined, changed, edges, star, around, .. } = self;
+        let vertices = &mut examined.around;
+        changed.clear();
+        changed.extend(site.left.into_iter().chain(site.right).map(|h| h / 3));
+        if has_moved {
+            // All faces of `s` did, old and new.
+            changed.extend(surface.spokes(site.s).map(|h| h / 3));
+            vertices.clear();
+            vertices.extend(around.iter().map(|&(_, v)| v));
+        } else {
+            changed.extend(examined.arc.iter().map(|h| h / 3));
+            vertices.retain(|&v| v != site.s);
+        }
+        let surroundings = Surroundings { around: vertices, changed };
+        samples.measure_around(points, surroundings, star, enough, |star, v| {
+            edges.clear();
+            surface.for_each_edge(v, |h, w| edges.push((h, w)));
+            star.reset(points, v, edges.iter().copied());
+        })
     }
 
     fn renew_key(&mut self, h: u32) {
