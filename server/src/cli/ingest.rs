@@ -9,8 +9,9 @@ use lodestream_protocol::quant::{MAX_LATTICE_BITS, MIN_LATTICE_BITS};
 use super::UsageError;
 use super::choice::{Choice, parse};
 use super::progress::ProgressLine;
-use crate::ingest::read::read_mesh;
+use crate::ingest::read::{ReadReport, read_mesh};
 use crate::ingest::simplify::{BuildOptions, BuildStage, Progress};
+use crate::ingest::spill::Workspace;
 use crate::ingest::{DEFAULT_CREASE_ANGLE_DEG, ingest};
 use crate::mesh::TriMesh;
 use crate::pack::{self, Metadata};
@@ -78,7 +79,11 @@ pub fn run(args: IngestArgs) -> anyhow::Result<()> {
         let started = Instant::now();
         let mut progress = ProgressLine::new(!args.json);
         progress.show("read", 0, None);
-        let (mesh, read) = read_mesh(file).with_context(|| format!("cannot ingest {}", file.display()))?;
+        let workspace = Workspace::in_memory();
+        let failed = || format!("cannot ingest {}", file.display());
+        let (mesh, read) = read_mesh(file, &workspace, &mut |bytes, all| progress.show("read", bytes, Some(all)))
+            .with_context(failed)?;
+        let mesh = mesh.load().with_context(failed)?;
         let metadata = Metadata {
             title: if args.title.is_empty() { id.as_str().to_owned() } else { args.title.clone() },
             license: args.license.clone(),
@@ -89,9 +94,9 @@ pub fn run(args: IngestArgs) -> anyhow::Result<()> {
         };
         let options = BuildOptions { bits: args.bits };
         let report = publish(&repository, id, mesh, metadata, &options, &mut progress)
-            .with_context(|| format!("cannot ingest {}", file.display()))?;
+            .with_context(failed)?;
         drop(progress);
-        report.print(file, started.elapsed(), &read.not_carried, args.json)?;
+        report.print(file, started.elapsed(), &read, args.json)?;
     }
     Ok(())
 }
@@ -144,7 +149,7 @@ impl Published {
         &self,
         file: &Path,
         elapsed: Duration,
-        not_carried: &[String],
+        read: &ReadReport,
         as_json: bool,
     ) -> anyhow::Result<()> {
         let seconds = elapsed.as_secs_f64();
@@ -152,7 +157,7 @@ impl Published {
         if as_json {
             let line = serde_json::json!({
                 "file": file.display().to_string(), "model": self.id.as_str(), "bytes": self.bytes,
-                "seconds": seconds, "triangles_per_second": rate, "not_carried": not_carried,
+                "seconds": seconds, "triangles_per_second": rate, "read": read,
                 "clean": self.cleaned, "build": self.built,
             });
             println!("{line}");
@@ -168,7 +173,8 @@ impl Published {
         );
         println!("  base of {} triangles, {} spawns, {} bits", built.base_triangles, built.spawns, built.bits);
         println!("  {}", self.cleaned.to_string().trim_end().replace('\n', "\n  "));
-        not_carried.iter().for_each(|what| println!("  not carried: {what}"));
+        read.notes.iter().for_each(|what| println!("  {what}"));
+        read.not_carried.iter().for_each(|what| println!("  not carried: {what}"));
         Ok(())
     }
 }
