@@ -50,7 +50,7 @@ pub fn run(args: DemoArgs) -> anyhow::Result<()> {
             crease_angle_deg: DEFAULT_CREASE_ANGLE_DEG,
             ..Metadata::default()
         };
-        publish(&repository, &id, mesh, metadata, &BuildOptions::default(), &mut progress)?;
+        publish(&repository, &id, mesh, metadata, None, &BuildOptions::default(), &mut progress)?;
         drop(progress);
         eprintln!("the model `{id}` is ready after {:.0} s", started.elapsed().as_secs_f64());
     }

@@ -15,7 +15,7 @@ use crate::ingest::spill::Workspace;
 use crate::ingest::{DEFAULT_CREASE_ANGLE_DEG, ingest};
 use crate::mesh::TriMesh;
 use crate::pack::{self, Metadata};
-use crate::repository::{ModelId, Repository};
+use crate::repository::{ModelId, Original, Repository};
 
 /// Turn mesh files into models of a repository.
 #[derive(Clone, Debug, clap::Args)]
@@ -50,6 +50,9 @@ pub struct IngestArgs {
     /// Bits per coordinate [default: by the length of the mesh's edges].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(BITS))]
     pub bits: Option<u8>,
+    /// Keep a copy of the file beside the model.
+    #[arg(long)]
+    pub keep_original: bool,
     /// Name of the model for people.
     #[arg(long, default_value = "", hide_default_value = true)]
     pub title: String,
@@ -84,7 +87,10 @@ pub fn run(args: IngestArgs) -> anyhow::Result<()> {
         let (mesh, read) = read_mesh(file, &workspace, &mut |bytes, all| progress.show("read", bytes, Some(all)))
             .with_context(failed)?;
         let mesh = mesh.load().with_context(failed)?;
+        let original =
+            args.keep_original.then(|| repository.keep_original(id, file)).transpose().with_context(failed)?;
         let metadata = Metadata {
+            original: original.as_ref().map(|original| original.name().to_owned()).unwrap_or_default(),
             title: if args.title.is_empty() { id.as_str().to_owned() } else { args.title.clone() },
             license: args.license.clone(),
             source: args.source.clone(),
@@ -93,8 +99,8 @@ pub fn run(args: IngestArgs) -> anyhow::Result<()> {
             ..Metadata::default()
         };
         let options = BuildOptions { bits: args.bits };
-        let report = publish(&repository, id, mesh, metadata, &options, &mut progress)
-            .with_context(failed)?;
+        let report =
+            publish(&repository, id, mesh, metadata, original, &options, &mut progress).with_context(failed)?;
         drop(progress);
         report.print(file, started.elapsed(), &read, args.json)?;
     }
@@ -110,7 +116,7 @@ pub(super) struct Published {
     bytes: u64,
 }
 
-/// Cleans, builds and publishes a mesh.
+/// Cleans, builds and publishes a mesh, with its original if it is kept.
 ///
 /// # Errors
 /// What building or the repository says.
@@ -119,6 +125,7 @@ pub(super) fn publish(
     id: &ModelId,
     mesh: TriMesh,
     metadata: Metadata,
+    original: Option<Original>,
     options: &BuildOptions,
     progress: &mut ProgressLine,
 ) -> anyhow::Result<Published> {
@@ -139,19 +146,13 @@ pub(super) fn publish(
         fields.remove("timings");
     }
     let metadata = Metadata { clean_report: serde_json::to_value(&done.cleaned)?, build_report: built, ..metadata };
-    let bytes = repository.publish(id, |out| pack::write(&done.dag, &done.complete, &metadata, out))?;
+    let bytes = repository.publish_with(id, original, |out| pack::write(&done.dag, &done.complete, &metadata, out))?;
     Ok(Published { id: id.clone(), cleaned: done.cleaned, built: done.built, bytes })
 }
 
 impl Published {
     /// Says on standard output what was made.
-    pub(super) fn print(
-        &self,
-        file: &Path,
-        elapsed: Duration,
-        read: &ReadReport,
-        as_json: bool,
-    ) -> anyhow::Result<()> {
+    pub(super) fn print(&self, file: &Path, elapsed: Duration, read: &ReadReport, as_json: bool) -> anyhow::Result<()> {
         let seconds = elapsed.as_secs_f64();
         let rate = self.built.triangles as f64 / seconds;
         if as_json {

@@ -57,8 +57,7 @@ pub(super) fn read(
     progress: &mut dyn FnMut(u64, u64),
 ) -> Result<(RawMesh, ReadReport), ReadError> {
     let (format, json, chunk) = open(bytes)?;
-    let document: Document<'_> =
-        serde_json::from_slice(&json).map_err(|error| fault("document", error.to_string()))?;
+    let document: Document<'_> = serde_json::from_slice(&json).map_err(|error| fault("document", error.to_string()))?;
     if !document.asset.version.0.starts_with("2.") {
         return Err(fault("asset", format!("version {:.8} is not 2", document.asset.version.0)));
     }
@@ -156,7 +155,8 @@ fn instances(document: &Document<'_>) -> Result<Vec<Instance>, ReadError> {
         (None, []) => {
             let mut is_child = vec![false; nodes.len()];
             let children = nodes.iter().flat_map(|node| &node.children.0);
-            children.for_each(|&child| is_child.get_mut(child as usize).into_iter().for_each(|is_child| *is_child = true));
+            children
+                .for_each(|&child| is_child.get_mut(child as usize).into_iter().for_each(|is_child| *is_child = true));
             (0..nodes.len() as u32).filter(|&node| !is_child[node as usize]).collect()
         }
         (scene, scenes) => {
@@ -252,9 +252,8 @@ impl Reader<'_, '_> {
 
         let surface = self.materials.surface(primitive.material, document, &mut self.buffers)?;
         let set = surface.texture_coordinates.and_then(|set| primitive.attributes.get(&format!("TEXCOORD_{set}")));
-        let uvs = set
-            .map(|index| Numbers::new(index, Use::TextureCoordinates, document, &mut self.buffers))
-            .transpose()?;
+        let uvs =
+            set.map(|index| Numbers::new(index, Use::TextureCoordinates, document, &mut self.buffers)).transpose()?;
         self.note_lost(primitive, vertices);
 
         let first = self.sink.vertices();

@@ -40,6 +40,8 @@ use texture::color::channel_from_unit;
 mod mutation_tests;
 #[cfg(test)]
 mod round_trip_tests;
+#[cfg(any(test, feature = "testing"))]
+pub mod testing;
 #[cfg(test)]
 mod tests;
 
@@ -177,9 +179,8 @@ enum Kind {
 impl Kind {
     /// By the first bytes of the file, its length and its extension in lower case.
     fn of(first: &[u8], len: u64, extension: &str) -> Option<Self> {
-        let is_keyword = |keyword: &[u8]| {
-            first.strip_prefix(keyword).is_some_and(|rest| rest.first().is_none_or(|&b| b <= b' '))
-        };
+        let is_keyword =
+            |keyword: &[u8]| first.strip_prefix(keyword).is_some_and(|rest| rest.first().is_none_or(|&b| b <= b' '));
         if is_keyword(b"ply") {
             return Some(Self::Ply);
         }

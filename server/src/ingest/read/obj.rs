@@ -209,8 +209,7 @@ impl Reader<'_, '_> {
         if self.sink.triangles() == 0 {
             return Err(ReadError::NoFaces { vertices });
         }
-        let mut report =
-            ReadReport { faces: self.faces, ..ReadReport::new(Format::Obj, &self.sink) };
+        let mut report = ReadReport { faces: self.faces, ..ReadReport::new(Format::Obj, &self.sink) };
         self.note_skipped(&mut report.not_carried);
         let workspace = self.sink.workspace();
         let mesh = self.bake.finish(self.sink.finish()?, self.colored_vertices, workspace, &mut report)?;

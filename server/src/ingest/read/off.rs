@@ -70,11 +70,7 @@ impl Layout {
 }
 
 /// Counts in the header, checked: a vertex takes `vertex_bytes` at least and a face `face_bytes`.
-fn check_counts(
-    [vertices, faces]: [u64; 2],
-    [vertex_bytes, face_bytes]: [u64; 2],
-    left: u64,
-) -> Result<(), ReadError> {
+fn check_counts([vertices, faces]: [u64; 2], [vertex_bytes, face_bytes]: [u64; 2], left: u64) -> Result<(), ReadError> {
     if vertices > MAX_VERTICES as u64 {
         return Err(ReadError::TooLarge { what: "vertices", limit: MAX_VERTICES as u64 });
     }
@@ -260,8 +256,8 @@ fn parse_face(words: &mut Words<'_>, vertices: u64, sink: &mut Sink<'_>) -> Resu
         let Some(word) = words.next() else {
             return Err(FaceFault::Problem(format!("{} of {count} corners are missing", count - fan.corners)));
         };
-        let index = parse_i64(word)
-            .ok_or_else(|| FaceFault::Problem(format!("{} is no index of a vertex", quoted(word))))?;
+        let index =
+            parse_i64(word).ok_or_else(|| FaceFault::Problem(format!("{} is no index of a vertex", quoted(word))))?;
         match u32::try_from(index) {
             Ok(corner) if u64::from(corner) < vertices => fan.push(corner, sink).map_err(FaceFault::Read)?,
             _ => return Err(FaceFault::OutOfRange(index)),
@@ -280,18 +276,15 @@ fn take(input: &mut Input<'_>) -> Result<[u8; 4], ReadError> {
     Ok(taken)
 }
 
-fn read_binary(
-    input: &mut Input<'_>,
-    layout: Layout,
-    mut sink: Sink<'_>,
-) -> Result<(RawMesh, ReadReport), ReadError> {
+fn read_binary(input: &mut Input<'_>, layout: Layout, mut sink: Sink<'_>) -> Result<(RawMesh, ReadReport), ReadError> {
     let mut count = || {
         let byte = input.position();
         let count = i32::from_be_bytes(take(input)?);
         u64::try_from(count).map_err(|_| ReadError::Bytes { byte, problem: format!("{count} is no count") })
     };
     let (vertices, faces, _edges) = (count()?, count()?, count()?);
-    let columns = 3 + if layout.normal { 3 } else { 0 } + if layout.color { 4 } else { 0 } + if layout.texture { 2 } else { 0 };
+    let columns =
+        3 + if layout.normal { 3 } else { 0 } + if layout.color { 4 } else { 0 } + if layout.texture { 2 } else { 0 };
     check_counts([vertices, faces], [columns * 4, 8], input.left())?;
     for _ in 0..vertices {
         let mut position = [0.0; 3];

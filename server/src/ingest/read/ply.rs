@@ -169,12 +169,7 @@ fn read_body<S: Source>(
     if source.has_more()? {
         not_carried.push(format!("{} bytes after the last element", source.left()));
     }
-    let report = ReadReport {
-        faces,
-        colored: sink.is_colored(),
-        not_carried,
-        ..ReadReport::new(header.format, &sink)
-    };
+    let report = ReadReport { faces, colored: sink.is_colored(), not_carried, ..ReadReport::new(header.format, &sink) };
     Ok((sink.finish()?, report))
 }
 

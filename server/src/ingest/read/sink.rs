@@ -121,11 +121,7 @@ impl<'w> Sink<'w> {
             }
             colors.finish()
         });
-        Ok(RawMesh {
-            positions: self.positions.finish()?,
-            colors: colors.transpose()?,
-            faces: self.faces.finish()?,
-        })
+        Ok(RawMesh { positions: self.positions.finish()?, colors: colors.transpose()?, faces: self.faces.finish()? })
     }
 }
 

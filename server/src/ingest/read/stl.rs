@@ -36,7 +36,8 @@ pub(super) fn is_binary(first: &[u8], len: u64) -> bool {
 pub(super) fn read(input: &mut Input<'_>, sink: Sink<'_>) -> Result<(RawMesh, ReadReport), ReadError> {
     let len = input.len();
     let first = input.fill(HEADER)?;
-    if !is_binary(first, len) && first.trim_ascii_start().get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid"))
+    if !is_binary(first, len)
+        && first.trim_ascii_start().get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid"))
     {
         return read_text(input, sink);
     }
@@ -62,7 +63,8 @@ fn read_binary(input: &mut Input<'_>, mut sink: Sink<'_>) -> Result<(RawMesh, Re
         let rows = (input.fill(TRIANGLE)?.len() / TRIANGLE).min(left);
         for row in input.window()[..rows * TRIANGLE].chunks_exact(TRIANGLE) {
             let numbers = row[12..48].as_chunks::<4>().0;
-            let mut corners = numbers.as_chunks::<3>().0.iter().map(|corner| corner.map(|c| f64::from(f32::from_le_bytes(c))));
+            let mut corners =
+                numbers.as_chunks::<3>().0.iter().map(|corner| corner.map(|c| f64::from(f32::from_le_bytes(c))));
             let positions: [[f64; 3]; 3] = std::array::from_fn(|_| corners.next().unwrap_or_default());
             push_triangle(&mut sink, positions)?;
             attributes += u64::from(row[48..50] != [0, 0]);

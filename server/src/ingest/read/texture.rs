@@ -151,11 +151,7 @@ impl Gallery {
     }
 
     /// The texture called `name` among those of the mesh, whose file `encoded` reads if it is not kept.
-    pub(super) fn get(
-        &mut self,
-        name: &str,
-        encoded: impl FnOnce() -> Result<Vec<u8>, String>,
-    ) -> Option<Rc<Texture>> {
+    pub(super) fn get(&mut self, name: &str, encoded: impl FnOnce() -> Result<Vec<u8>, String>) -> Option<Rc<Texture>> {
         self.clock += 1;
         if let Some(kept) = self.kept.iter_mut().find(|kept| kept.name == name) {
             if kept.texture.is_some() || kept.used == u64::MAX {
@@ -226,7 +222,7 @@ pub(super) fn read_encoded(source: impl Read, len: u64) -> Result<Vec<u8>, Strin
 
 /// A name for people: short and printable.
 pub(super) fn shown(name: &str) -> String {
-    name.chars().take(80).flat_map(char::escape_default).collect()
+    name.chars().take(80).map(|c| if c.is_control() { '?' } else { c }).collect()
 }
 
 #[cfg(test)]

@@ -130,7 +130,9 @@ impl<'a> Buffers<'a> {
         };
         let (base, len) = match (&buffer.uri, self.chunk) {
             (None, Some((start, len))) if index == 0 => (start, len),
-            (None, _) => return Err(fault(format!("buffers[{index}]"), "it has no address, and the file no such chunk")),
+            (None, _) => {
+                return Err(fault(format!("buffers[{index}]"), "it has no address, and the file no such chunk"));
+            }
             (Some(uri), _) => {
                 if opened.is_none() {
                     let problem = |problem: String| fault(format!("buffers[{index}]"), problem);

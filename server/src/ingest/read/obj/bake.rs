@@ -91,8 +91,7 @@ impl<'d> Bake<'d> {
     pub(super) fn library(&mut self, names: &[u8], vertices: u64, colored: u64) {
         let whole = [names];
         let exists = open_beside(self.directory, &String::from_utf8_lossy(names)).is_ok();
-        let words: Vec<&[u8]> =
-            if exists { whole.to_vec() } else { Words(names).take(MAX_LIBRARIES).collect() };
+        let words: Vec<&[u8]> = if exists { whole.to_vec() } else { Words(names).take(MAX_LIBRARIES).collect() };
         for name in words {
             let name = &name[..name.len().min(MAX_NAME)];
             if self.libraries.iter().any(|library| library == name) {

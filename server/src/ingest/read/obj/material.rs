@@ -1,10 +1,10 @@
 //! Material libraries (MTL): the colour and the texture of each material; the rest is for renderers.
 
+use super::super::ReadError;
 use super::super::input::{Input, Lines, Words};
 use super::super::number::parse_f64;
 use super::super::texture::Wrap;
 use super::super::texture::color::channel_from_unit;
-use super::super::ReadError;
 
 /// Most materials of one mesh.
 pub(super) const MAX_MATERIALS: usize = 1 << 16;

@@ -21,10 +21,12 @@ fn headers_of_every_kind_are_read() {
 
 #[test]
 fn colours_of_vertices_are_carried() {
-    let (mesh, report) = check("COFF\n3 1 0\n0 0 0 1 2 3 255\n1 0 0 255 300 -1\n0 1 0 0.5 1 0.0 1\n3 0 1 2\n", &[[0, 1, 2]]);
+    let (mesh, report) =
+        check("COFF\n3 1 0\n0 0 0 1 2 3 255\n1 0 0 255 300 -1\n0 1 0 0.5 1 0.0 1\n3 0 1 2\n", &[[0, 1, 2]]);
     assert_eq!(mesh.colors.unwrap(), [[1, 2, 3], [255, 255, 0], [128, 255, 0]]);
     assert!(report.colored && report.not_carried.is_empty());
-    let (mesh, report) = check("STCNOFF\n3 1 0\n0 0 0 9 9 9 1 2 3 4 7 7\n1 0 0 9 9 9 5\n0 1 0\n3 0 1 2 1 0 0\n", &[[0, 1, 2]]);
+    let (mesh, report) =
+        check("STCNOFF\n3 1 0\n0 0 0 9 9 9 1 2 3 4 7 7\n1 0 0 9 9 9 5\n0 1 0\n3 0 1 2 1 0 0\n", &[[0, 1, 2]]);
     assert_eq!(mesh.colors.unwrap(), [[1, 2, 3], [255; 3], [255; 3]]);
     assert_eq!(
         report.not_carried,
@@ -50,7 +52,10 @@ fn binary_files_are_read() {
     assert_eq!(mesh.positions, [[0.0, 0.5, -1.0], [1.0, 0.5, -1.0], [2.0, 0.5, -1.0]]);
     assert_eq!(mesh.faces, [[0, 1, 2], [2, 1, 0]]);
     assert_eq!(mesh.colors.unwrap(), [[255, 128, 0]; 3]);
-    assert_eq!((report.format, report.not_carried), (Format::OffBinary, vec!["3 normals".into(), "1 colours of faces".into()]));
+    assert_eq!(
+        (report.format, report.not_carried),
+        (Format::OffBinary, vec!["3 normals".into(), "1 colours of faces".into()])
+    );
     let whole = binary();
     for len in 0..whole.len() {
         read_off(&whole[..len]).unwrap_err();

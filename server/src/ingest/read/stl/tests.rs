@@ -74,7 +74,7 @@ fn errors_name_the_place() {
     check(&whole[..200], "4 rows of element triangle need at least 200 bytes, but only 116 follow");
     check(&whole[..50], "byte 50: the header of a binary STL takes 84 bytes, and a text starts with `solid`");
     check(b"solid", "the file holds no faces (it has 0 vertices; point clouds cannot be ingested)");
-    check(text().replace("-1.5", "x").as_bytes(), "line 14: vertex coordinate `x` is not a number");
+    check(text().replace("-1.5", "x").as_bytes(), "line 13: vertex coordinate `x` is not a number");
     check(b"solid a\nvertex 1 2 3", "line 2: a vertex outside of a loop");
     check(b"solid a\nouter loop\nouter loop", "line 3: a loop within a loop");
     check(b"solid a\nouter loop\nvertex 0 0 0\nfacet", "line 4: the file ends within a loop");

@@ -193,6 +193,23 @@ mod tests {
     }
 
     #[test]
+    fn jpeg_is_read() {
+        let mut bytes = super::super::super::testing::jpeg();
+        let texture = decoded(&bytes).unwrap();
+        assert_eq!(texture.size, [8, 8]);
+        // Y 159, Cb 144, Cr 159: R = Y + 1.402 (Cr - 128), and so on.
+        let expected = [159.0 + 1.402 * 31.0, 159.0 - 0.344 * 16.0 - 0.714 * 31.0, 159.0 + 1.772 * 16.0];
+        for texel in &texture.texels {
+            assert!((0..3).all(|k| (f64::from(texel[k]) - expected[k]).abs() < 2.5), "{texel:?} {expected:?}");
+        }
+        // The header promises more than the file can hold.
+        let at = bytes.windows(2).position(|marker| marker == [0xff, 0xc0]).unwrap();
+        bytes[at + 5..at + 9].copy_from_slice(&[0x1f, 0, 0x1f, 0]);
+        assert_eq!(decoded(&bytes).unwrap_err(), format!("{} bytes cannot hold 7936 x 7936 pixels", bytes.len()));
+        assert!(decoded(&[0xff, 0xd8, 0xff]).is_err());
+    }
+
+    #[test]
     fn large_images_are_reduced_to_means() {
         let (width, height) = (MAX_KEPT_SIDE + 3, 3);
         let pixel = |x: u32, y: u32| [(x % 251) as u8, (y * 50) as u8, ((x + y) % 7) as u8];
