@@ -115,7 +115,8 @@ pub fn readers() -> Vec<Target> {
         }
         files.push(larger);
         let run = move |rng: &mut Rng| {
-            let bytes = mutated(rng, &files[rng.usize(0..files.len())]);
+            let file = rng.usize(0..files.len());
+            let bytes = mutated(rng, &files[file]);
             let _ = read(&bytes);
             Some(bytes.len())
         };
