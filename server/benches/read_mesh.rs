@@ -20,7 +20,9 @@ fn main() {
         std::env::args().skip(1).filter(|arg| !arg.starts_with("--")).map(PathBuf::from).collect();
     let directory = tempfile::tempdir().expect("a directory for temporary files");
     if !files.is_empty() {
-        files.iter().for_each(|file| drop(read(file, directory.path())));
+        for file in &files {
+            read(file, directory.path());
+        }
         return;
     }
     let mesh = grid();

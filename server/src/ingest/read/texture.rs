@@ -2,6 +2,7 @@
 //!
 //! Knows PNG and JPEG, see [`decode`]; how colours mix is in [`color`].
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read;
 use std::path::{Component, Path, PathBuf};
@@ -113,7 +114,7 @@ pub(super) fn open_beside(directory: Option<&Path>, name: &str) -> Result<(File,
 
 /// The decoded textures of one mesh: as many as fit are kept, the others decoded again when they are needed again.
 pub(super) struct Gallery {
-    kept: Vec<Kept>,
+    kept: BTreeMap<String, Kept>,
     /// Grows with each use.
     clock: u64,
     pixels_left: u64,
@@ -124,7 +125,6 @@ pub(super) struct Gallery {
 }
 
 struct Kept {
-    name: String,
     /// `None` if it cannot be had.
     texture: Option<Rc<Texture>>,
     used: u64,
@@ -133,7 +133,7 @@ struct Kept {
 impl Gallery {
     pub(super) fn new() -> Self {
         Self {
-            kept: Vec::new(),
+            kept: BTreeMap::new(),
             clock: 0,
             pixels_left: MAX_PIXELS_DECODED,
             notes: Vec::new(),
@@ -153,11 +153,9 @@ impl Gallery {
     /// The texture called `name` among those of the mesh, whose file `encoded` reads if it is not kept.
     pub(super) fn get(&mut self, name: &str, encoded: impl FnOnce() -> Result<Vec<u8>, String>) -> Option<Rc<Texture>> {
         self.clock += 1;
-        if let Some(kept) = self.kept.iter_mut().find(|kept| kept.name == name) {
-            if kept.texture.is_some() || kept.used == u64::MAX {
-                kept.used = kept.used.max(self.clock);
-                return kept.texture.clone();
-            }
+        if let Some(kept) = self.kept.get_mut(name) {
+            kept.used = kept.used.max(self.clock);
+            return kept.texture.clone();
         }
         let result = encoded().and_then(|bytes| decode(&bytes, &mut self.pixels_left));
         let texture = match result {
@@ -175,17 +173,16 @@ impl Gallery {
         // One that cannot be had now is not tried again.
         let used = if texture.is_some() { self.clock } else { u64::MAX };
         self.make_room(texture.as_ref().map_or(0, |t| t.texels.len() as u64));
-        self.kept.retain(|kept| kept.name != name);
-        self.kept.push(Kept { name: name.to_owned(), texture: texture.clone(), used });
+        self.kept.insert(name.to_owned(), Kept { texture: texture.clone(), used });
         texture
     }
 
     fn make_room(&mut self, texels: u64) {
         let len = |kept: &Kept| kept.texture.as_ref().map_or(0, |texture| texture.texels.len() as u64);
-        while texels + self.kept.iter().map(len).sum::<u64>() > MAX_TEXELS_KEPT {
-            let oldest = self.kept.iter().enumerate().filter(|(_, kept)| kept.texture.is_some());
-            let Some((oldest, _)) = oldest.min_by_key(|(_, kept)| kept.used) else { return };
-            self.kept.remove(oldest);
+        while texels + self.kept.values().map(len).sum::<u64>() > MAX_TEXELS_KEPT {
+            let oldest = self.kept.iter().filter(|(_, kept)| kept.texture.is_some());
+            let Some(oldest) = oldest.min_by_key(|(_, kept)| kept.used).map(|(name, _)| name.clone()) else { return };
+            self.kept.remove(&oldest);
         }
     }
 

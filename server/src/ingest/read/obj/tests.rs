@@ -171,8 +171,7 @@ fn a_real_textured_mesh_gets_the_colours_of_its_texels() {
     let (mesh, report) = read_mesh_in_memory(&path).unwrap();
     assert!(report.colored, "{report:?}");
     let colors = mesh.colors.unwrap();
-    let mut decoder =
-        png::Decoder::new(std::io::BufReader::new(File::open(path.with_file_name("spot.png")).unwrap()));
+    let mut decoder = png::Decoder::new(std::io::BufReader::new(File::open(path.with_file_name("spot.png")).unwrap()));
     decoder.set_transformations(png::Transformations::normalize_to_color8());
     let mut reader = decoder.read_info().unwrap();
     let mut image = vec![0; reader.output_buffer_size().unwrap()];
