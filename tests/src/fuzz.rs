@@ -22,12 +22,15 @@ use crate::model::TestModel;
 use crate::server_process::TempDir;
 use crate::sim::{Pair, PairConfig};
 
+/// Runs one case. A target that reads files says how long the file was: its peak of memory is bounded by that.
+pub type Case = Box<dyn Fn(&mut Rng) -> Option<usize>>;
+
 /// A named target.
 pub struct Target {
     /// For the command line and for reports.
     pub name: &'static str,
-    /// Runs one case. A target that reads files says how long the file was: its peak of memory is bounded by that.
-    pub run: Box<dyn Fn(&mut Rng) -> Option<usize>>,
+    /// Runs one case.
+    pub run: Case,
 }
 
 /// Flips, cuts, repeats, inserts: a few changes at random places.
@@ -68,7 +71,7 @@ pub fn targets() -> Vec<Target> {
     let pack = small_pack();
 
     let mut targets: Vec<Target> = Vec::new();
-    let unbounded = |run: Box<dyn Fn(&mut Rng)>| -> Box<dyn Fn(&mut Rng) -> Option<usize>> {
+    let unbounded = |run: Box<dyn Fn(&mut Rng)>| -> Case {
         Box::new(move |rng| {
             run(rng);
             None
