@@ -10,22 +10,27 @@ use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
 use lodestream_protocol::wire;
 use lodestream_server::ingest::ingest_to_vec;
-use lodestream_server::ingest::read::{read_obj, read_ply};
+use lodestream_server::ingest::read::testing::{Seeds, jpeg, png, seeds};
+use lodestream_server::ingest::read::{read_gltf, read_mesh_in_memory, read_obj, read_off, read_ply, read_stl};
 use lodestream_server::ingest::simplify::BuildOptions;
-use lodestream_server::mesh::export::{PlyOptions, write_obj, write_ply};
+use lodestream_server::mesh::export::{PlyOptions, write_obj, write_ply, write_stl};
 use lodestream_server::pack::{self, Metadata, PackedModel};
 use lodestream_server::session::{Session, SessionConfig};
 
 use crate::meshes;
 use crate::model::TestModel;
+use crate::server_process::TempDir;
 use crate::sim::{Pair, PairConfig};
+
+/// Runs one case. A target that reads files says how long the file was: its peak of memory is bounded by that.
+pub type Case = Box<dyn Fn(&mut Rng) -> Option<usize>>;
 
 /// A named target.
 pub struct Target {
     /// For the command line and for reports.
     pub name: &'static str,
     /// Runs one case.
-    pub run: Box<dyn Fn(&mut Rng)>,
+    pub run: Case,
 }
 
 /// Flips, cuts, repeats, inserts: a few changes at random places.
@@ -63,15 +68,16 @@ pub fn targets() -> Vec<Target> {
         Arc::new(frames)
     });
     let models = [test.model.clone(), colored.model.clone()];
-    let mut ply = Vec::new();
-    let mesh = meshes::colored_sphere(1);
-    write_ply(&mesh, &PlyOptions::default(), &mut ply).expect("writing to memory");
-    let mut obj = Vec::new();
-    write_obj(&mesh, &mut obj).expect("writing to memory");
     let pack = small_pack();
 
     let mut targets: Vec<Target> = Vec::new();
-    let mut add = |name, run: Box<dyn Fn(&mut Rng)>| targets.push(Target { name, run });
+    let unbounded = |run: Box<dyn Fn(&mut Rng)>| -> Case {
+        Box::new(move |rng| {
+            run(rng);
+            None
+        })
+    };
+    let mut add = |name, run| targets.push(Target { name, run: unbounded(run) });
     let frames = down.clone();
     add("client", Box::new(move |rng| client_case(rng, &frames)));
     let frames = up.clone();
@@ -86,10 +92,58 @@ pub fn targets() -> Vec<Target> {
             let _ = (wire::decode_client(&frame), wire::decode_server(&frame));
         }),
     );
-    add("ply", Box::new(move |rng| drop(read_ply(&mutated(rng, &ply)))));
-    add("obj", Box::new(move |rng| drop(read_obj(&mutated(rng, &obj)))));
     add("pack", Box::new(move |rng| pack_case(rng, &pack)));
+    targets.extend(readers());
     targets
+}
+
+/// The readers of mesh files, without what is slow to prepare.
+pub fn readers() -> Vec<Target> {
+    let mut targets = Vec::new();
+    for Seeds { format, mut files } in seeds() {
+        let read = match format {
+            "ply" => read_ply,
+            "obj" => read_obj,
+            "stl" => read_stl,
+            "off" => read_off,
+            _ => read_gltf,
+        };
+        let mesh = meshes::colored_sphere(1);
+        let mut larger = Vec::new();
+        match format {
+            "ply" => write_ply(&mesh, &PlyOptions::default(), &mut larger).expect("writing to memory"),
+            "obj" => write_obj(&mesh, &mut larger).expect("writing to memory"),
+            "stl" => write_stl(&mesh, &mut larger).expect("writing to memory"),
+            _ => larger.clone_from(&files[0]),
+        }
+        files.push(larger);
+        let run = move |rng: &mut Rng| {
+            let file = rng.usize(0..files.len());
+            let bytes = mutated(rng, &files[file]);
+            let _ = read(&bytes);
+            Some(bytes.len())
+        };
+        targets.push(Target { name: format, run: Box::new(run) });
+    }
+    let folder = TempDir::new();
+    targets.push(Target { name: "obj-mtl", run: Box::new(move |rng| Some(textured_case(rng, &folder))) });
+    targets
+}
+
+/// An OBJ with its library and its textures, one of which is damaged.
+fn textured_case(rng: &mut Rng, folder: &TempDir) -> usize {
+    let library = b"newmtl a\nKd 1 0.5 0\nmap_Kd -s 2 2 -clamp on t.png\nnewmtl b\nmap_Kd t.jpg\nnewmtl c\nKd 0 0 1\n";
+    let mesh = b"mtllib t.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nvt 0 0\nvt 0.5 0.25\nvt 1 1\nusemtl a\n\
+                 f 1/1 2/2 3/3\nusemtl b\nf 1/1 3/3 4/-1\nusemtl c\nf 2 3 4\n";
+    let texture = png(3, 2, &[[1, 2, 3], [40, 50, 60], [255; 3], [0; 3], [9, 8, 7], [200, 100, 50]]);
+    let mut files = [("t.obj", mesh.to_vec()), ("t.mtl", library.to_vec()), ("t.png", texture), ("t.jpg", jpeg())];
+    let damaged = rng.usize(0..files.len());
+    mutate(rng, &mut files[damaged].1);
+    for (name, bytes) in &files {
+        std::fs::write(folder.join(name), bytes).expect("the folder can be written to");
+    }
+    let _ = read_mesh_in_memory(&folder.join("t.obj"));
+    files.iter().map(|(_, bytes)| bytes.len()).sum()
 }
 
 fn mutated(rng: &mut Rng, bytes: &[u8]) -> Vec<u8> {

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use lodestream_protocol::quant::Lattice;
 use lodestream_server::ingest::clean::clean;
-use lodestream_server::ingest::read::{read_mesh, read_ply};
+use lodestream_server::ingest::read::{read_mesh_in_memory, read_ply};
 use lodestream_server::mesh::TriMesh;
 use lodestream_server::pack::PackedModel;
 use lodestream_tests::meshes;
@@ -91,7 +91,7 @@ fn real_meshes_arrive_exactly() {
     let names = ["cow", "fandisk_cad", "jinx_dirty", "dragon_47k", "bunny", "gargo"];
     let files = names.map(|name| Path::new(&meshes).join(format!("{name}.ply")));
     let models: Vec<_> =
-        names.iter().zip(&files).map(|(&name, file)| (name, read_mesh(file).expect("a mesh").0)).collect();
+        names.iter().zip(&files).map(|(&name, file)| (name, read_mesh_in_memory(file).expect("a mesh").0)).collect();
     ingest(&files.each_ref().map(|file| &**file), &folder.join("repository"));
     check_complete(&models, &folder);
 }

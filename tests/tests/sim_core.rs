@@ -44,7 +44,8 @@ fn every_topology() -> Vec<(&'static str, TriMesh)> {
 fn every_model(bits: Option<u8>) -> impl Iterator<Item = (String, TestModel)> {
     every_topology().into_iter().flat_map(move |(name, mesh)| {
         PlacementChoice::ALL.map(|placement| {
-            let model = TestModel::with_options(mesh.clone(), &BuildOptions { bits, placement });
+            let model =
+                TestModel::with_options(mesh.clone(), &BuildOptions { bits, placement, ..BuildOptions::default() });
             (format!("{name}, {placement:?}"), model)
         })
     })

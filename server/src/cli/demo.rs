@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use super::ingest::{Plan, publish};
+use super::ingest::{Input, Plan, publish};
 use super::progress::ProgressLine;
 use super::sample::sample_size;
 use super::serve::{self, ServeArgs};
@@ -55,7 +55,8 @@ pub fn run(args: DemoArgs) -> anyhow::Result<()> {
         let workspace = plan.workspace(&repository);
         let raw = RawMesh::of(&mesh, &workspace)?;
         drop(mesh);
-        publish(&repository, &id, raw, metadata, &BuildOptions::default(), (&plan, &workspace), &progress)?;
+        let input = Input { raw, metadata, original: None };
+        publish(&repository, &id, input, &BuildOptions::default(), (&plan, &workspace), &progress)?;
         drop(progress);
         eprintln!("the model `{id}` is ready after {:.0} s", started.elapsed().as_secs_f64());
     }

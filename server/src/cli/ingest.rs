@@ -11,13 +11,13 @@ use super::choice::{Choice, parse};
 use super::progress::ProgressLine;
 use super::usage::Usage;
 use crate::ingest::raw::RawMesh;
-use crate::ingest::read::read_mesh;
+use crate::ingest::read::{ReadReport, read_mesh};
 use crate::ingest::report::{BuildReport, Progress, Stage};
 use crate::ingest::simplify::{BuildOptions, PlacementChoice};
 use crate::ingest::spill::Workspace;
 use crate::ingest::{DEFAULT_CREASE_ANGLE_DEG, ingest};
 use crate::pack::Metadata;
-use crate::repository::{ModelId, Repository};
+use crate::repository::{ModelId, Original, Repository};
 
 /// Turn mesh files into models of a repository.
 #[derive(Clone, Debug, clap::Args)]
@@ -61,6 +61,9 @@ pub struct IngestArgs {
     /// Memory to stay under, such as 900MB or 2GiB; what does not fit goes to temporary files beside the models.
     #[arg(long, value_name = "SIZE", default_value = "4GiB", value_parser = byte_size)]
     pub memory_limit: u64,
+    /// Keep a copy of the file beside the model.
+    #[arg(long)]
+    pub keep_original: bool,
     /// Name of the model for people.
     #[arg(long, default_value = "", hide_default_value = true)]
     pub title: String,
@@ -92,8 +95,13 @@ pub fn run(args: IngestArgs) -> anyhow::Result<()> {
         let progress = ProgressLine::new(!args.json);
         let workspace = plan.workspace(&repository);
         progress.show("read", 0, None);
-        let (mesh, read) = read_mesh(file).with_context(|| format!("cannot ingest {}", file.display()))?;
+        let failed = || format!("cannot ingest {}", file.display());
+        let (raw, read) = read_mesh(file, &workspace, &mut |bytes, all| progress.show("read", bytes, Some(all)))
+            .with_context(failed)?;
+        let original =
+            args.keep_original.then(|| repository.keep_original(id, file)).transpose().with_context(failed)?;
         let metadata = Metadata {
+            original: original.as_ref().map(|original| original.name().to_owned()).unwrap_or_default(),
             title: if args.title.is_empty() { id.as_str().to_owned() } else { args.title.clone() },
             license: args.license.clone(),
             source: args.source.clone(),
@@ -103,12 +111,10 @@ pub fn run(args: IngestArgs) -> anyhow::Result<()> {
         };
         let options =
             BuildOptions { bits: args.bits, placement: args.placement.into(), weld_tolerance: args.weld_tolerance };
-        let raw = RawMesh::of(&mesh, &workspace)?;
-        drop(mesh);
-        let report = publish(&repository, id, raw, metadata, &options, (&plan, &workspace), &progress)
-            .with_context(|| format!("cannot ingest {}", file.display()))?;
+        let input = Input { raw, metadata, original };
+        let report = publish(&repository, id, input, &options, (&plan, &workspace), &progress).with_context(failed)?;
         drop(progress);
-        report.print(file, started.elapsed(), &read.not_carried, args.json)?;
+        report.print(file, started.elapsed(), &read, args.json)?;
     }
     Ok(())
 }
@@ -193,6 +199,15 @@ fn byte_size(text: &str) -> Result<u64, String> {
     }
 }
 
+/// A mesh and what to say of it.
+#[derive(Debug)]
+pub(super) struct Input {
+    pub(super) raw: RawMesh,
+    pub(super) metadata: Metadata,
+    /// Copy of the source, to be kept beside the model.
+    pub(super) original: Option<Original>,
+}
+
 /// What ingesting one mesh came to.
 #[derive(Debug)]
 pub(super) struct Published {
@@ -202,19 +217,19 @@ pub(super) struct Published {
     bytes: u64,
 }
 
-/// Cleans, builds and publishes a mesh.
+/// Cleans, builds and publishes a mesh, with its original if it is kept.
 ///
 /// # Errors
 /// What building or the repository says.
 pub(super) fn publish(
     repository: &Repository,
     id: &ModelId,
-    raw: RawMesh,
-    metadata: Metadata,
+    input: Input,
     options: &BuildOptions,
     (plan, workspace): (&Plan, &Workspace),
     progress: &ProgressLine,
 ) -> anyhow::Result<Published> {
+    let Input { raw, metadata, original } = input;
     let triangles = raw.triangles();
     plan.check(raw.vertices())?;
     let show = |step: Progress| {
@@ -233,25 +248,19 @@ pub(super) fn publish(
         fields.remove("timings");
     }
     let metadata = Metadata { clean_report: serde_json::to_value(&done.cleaned)?, build_report: built, ..metadata };
-    let bytes = repository.publish(id, |out| done.write(&metadata, out, &show))?;
+    let bytes = repository.publish_with(id, original, |out| done.write(&metadata, out, &show))?;
     Ok(Published { id: id.clone(), cleaned: done.cleaned, built: done.built, bytes })
 }
 
 impl Published {
     /// Says on standard output what was made.
-    pub(super) fn print(
-        &self,
-        file: &Path,
-        elapsed: Duration,
-        not_carried: &[String],
-        as_json: bool,
-    ) -> anyhow::Result<()> {
+    pub(super) fn print(&self, file: &Path, elapsed: Duration, read: &ReadReport, as_json: bool) -> anyhow::Result<()> {
         let seconds = elapsed.as_secs_f64();
         let rate = self.built.triangles as f64 / seconds;
         if as_json {
             let line = serde_json::json!({
                 "file": file.display().to_string(), "model": self.id.as_str(), "bytes": self.bytes,
-                "seconds": seconds, "triangles_per_second": rate, "not_carried": not_carried,
+                "seconds": seconds, "triangles_per_second": rate, "read": read,
                 "clean": self.cleaned, "build": self.built, "usage": Usage::now(),
             });
             println!("{line}");
@@ -267,7 +276,8 @@ impl Published {
         );
         println!("  base of {} triangles, {} spawns, {} bits", built.base_triangles, built.spawns, built.bits);
         println!("  {}", self.cleaned.to_string().trim_end().replace('\n', "\n  "));
-        not_carried.iter().for_each(|what| println!("  not carried: {what}"));
+        read.notes.iter().for_each(|what| println!("  {what}"));
+        read.not_carried.iter().for_each(|what| println!("  not carried: {what}"));
         Ok(())
     }
 }

@@ -8,7 +8,7 @@ use lodestream_protocol::view::View;
 
 use super::UsageError;
 use super::progress::ProgressLine;
-use crate::ingest::read::read_mesh;
+use crate::ingest::read::read_mesh_in_memory;
 use crate::judge::original::Original;
 use crate::judge::screen_error::{Candidate, screen_error};
 use crate::mesh::TriMesh;
@@ -77,7 +77,7 @@ pub fn run(args: ScreenErrorArgs) -> anyhow::Result<()> {
     // Far below any distance of interest: only what lies behind the camera is out.
     view.near = args.eye.distance(args.target) * 1e-6;
     view.validate().map_err(|error| UsageError(error.to_string()))?;
-    let mut progress = ProgressLine::new(!args.json);
+    let progress = ProgressLine::new(!args.json);
     progress.show("read", 0, None);
     let (original, mesh) = (read(&args.original)?, read(&args.mesh)?);
     let error = screen_error(&Original::new(&original), &Candidate::new(&mesh), &view);
@@ -102,7 +102,7 @@ pub fn run(args: ScreenErrorArgs) -> anyhow::Result<()> {
 }
 
 fn read(path: &Path) -> anyhow::Result<TriMesh> {
-    let (mesh, _) = read_mesh(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let (mesh, _) = read_mesh_in_memory(path).with_context(|| format!("cannot read {}", path.display()))?;
     Ok(mesh)
 }
 

@@ -43,7 +43,7 @@ fn positive(text: &str) -> Result<f32, String> {
 pub fn run(args: VerifyArgs) -> anyhow::Result<()> {
     let id = model_id(&args.model)?;
     let repository = Repository::open(&args.repository)?;
-    let mut progress = ProgressLine::new(!args.json);
+    let progress = ProgressLine::new(!args.json);
     progress.show("replay", 0, None);
     let report = repository.verify(&id)?;
     let mut calibration = None;

@@ -141,6 +141,9 @@ impl fmt::Display for Inspection {
         line("title", or_dash(&self.metadata.title))?;
         line("licence", or_dash(&self.metadata.license))?;
         line("source", or_dash(&self.metadata.source))?;
+        if !self.metadata.original.is_empty() {
+            line("original", self.metadata.original.clone())?;
+        }
         line("hash", self.hash.clone())?;
         line("complete mesh", format!("{} triangles, {} vertices", self.triangles, self.vertices))?;
         line("extent", format!("{x} x {y} x {z}"))?;

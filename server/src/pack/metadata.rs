@@ -17,6 +17,9 @@ pub struct Metadata {
     pub created_by: String,
     /// Edges whose faces meet at a larger angle than this are drawn sharp, 0 to 180 degrees.
     pub crease_angle_deg: f32,
+    /// File beside the pack that holds the input as it was, empty if it was not kept.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub original: String,
     /// Report of reading the input.
     pub read_report: Value,
     /// Report of cleaning it.
@@ -33,6 +36,7 @@ impl Default for Metadata {
             source: String::new(),
             created_by: concat!("lodestream ", env!("CARGO_PKG_VERSION")).into(),
             crease_angle_deg: 180.0,
+            original: String::new(),
             read_report: Value::Null,
             clean_report: Value::Null,
             build_report: Value::Null,

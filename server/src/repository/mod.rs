@@ -1,7 +1,7 @@
 //! What a server holds: a directory of published packs.
 //!
 //! A model with id `bunny` is the file `bunny.lodepack`. A published file never changes; publishing an id again puts another
-//! file in its place, and who has the old one open keeps it. One bad pack fails that model and nothing else. This module knows
+//! file in its place, and who has the old one open keeps it. Its input may lie beside it as `bunny.original-<hash>.ply`. One bad pack fails that model and nothing else. This module knows
 //! files and packs, neither sessions nor HTTP.
 
 mod catalogue;
@@ -22,6 +22,7 @@ pub use model::{ModelId, ModelIdError};
 
 use crate::pack::{PackError, PackedModel, VerifyReport, verify};
 use model::OpenModel;
+pub use store::Original;
 use store::Store;
 
 /// Why the repository cannot do what it was asked.
@@ -163,7 +164,32 @@ impl Repository {
     where
         E: Into<Box<dyn std::error::Error + Send + Sync>>,
     {
-        self.store.publish(
+        self.publish_with(id, None, write)
+    }
+
+    /// Copies the input of a model into the repository, for [`Repository::publish_with`]. Costs a copy of the file.
+    ///
+    /// # Errors
+    /// [`RepositoryError::Io`].
+    pub fn keep_original(&self, id: &ModelId, source: &Path) -> Result<Original, RepositoryError> {
+        self.store.keep_original(id, source)
+    }
+
+    /// As [`Repository::publish`]; the model's `original`, whose name its metadata should hold, is there when the pack appears
+    /// and stays, and originals of earlier models of that id are removed.
+    ///
+    /// # Errors
+    /// Those of [`Repository::publish`]. The original is then removed, unless an earlier model has the same.
+    pub fn publish_with<T, E>(
+        &self,
+        id: &ModelId,
+        original: Option<Original>,
+        write: impl FnOnce(&mut BufWriter<File>) -> Result<T, E>,
+    ) -> Result<T, RepositoryError>
+    where
+        E: Into<Box<dyn std::error::Error + Send + Sync>>,
+    {
+        let written = self.store.publish(
             id,
             |out| write(out).map_err(|e| RepositoryError::Write(e.into())),
             |file| {
@@ -172,7 +198,10 @@ impl Repository {
                     .map(|_| ())
                     .map_err(|reason| RepositoryError::Damaged { id: id.to_string(), reason })
             },
-        )
+        )?;
+        self.store.retain_original(id, original.as_ref().map(Original::name));
+        original.into_iter().for_each(|mut original| original.is_used());
+        Ok(written)
     }
 
     fn lock(&self) -> MutexGuard<'_, HashMap<ModelId, OpenModel>> {

@@ -1,14 +1,18 @@
 //! Files of the repository: names, listing, atomic publication.
 
 use std::fs::{self, File, Metadata, OpenOptions, TryLockError};
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter, Read as _, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::SystemTime;
 
+use xxhash_rust::xxh3::Xxh3;
+
 use super::{ModelId, RepositoryError};
 
 const EXTENSION: &str = ".lodepack";
+/// Between the id of a model and the hash of its original.
+const ORIGINAL: &str = ".original-";
 /// Begins with a dot, so no model's file is named like this.
 const TEMPORARY: &str = ".publishing-";
 /// Held while temporary files are made or cleaned up.
@@ -102,6 +106,51 @@ impl Store {
         Ok(written)
     }
 
+    /// Copies a file into the repository, next to where the model `id` is or will be, under a name that follows from its
+    /// content. Until [`Store::retain_original`] it is nobody's.
+    pub(super) fn keep_original(&self, id: &ModelId, source: &Path) -> Result<Original, RepositoryError> {
+        let failed = || RepositoryError::io(format!("cannot keep the original of model {id}"));
+        let mut from = File::open(source).map_err(failed())?;
+        let temporary = self.temporary(id).map_err(failed())?;
+        let mut hash = Xxh3::new();
+        let mut piece = vec![0; 1 << 20];
+        loop {
+            let len = match from.read(&mut piece) {
+                Ok(0) => break,
+                Ok(len) => len,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                Err(error) => return Err(failed()(error)),
+            };
+            hash.update(&piece[..len]);
+            (&temporary.file).write_all(&piece[..len]).map_err(failed())?;
+        }
+        temporary.file.sync_all().map_err(failed())?;
+        let extension = source.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+        // Never that of a pack, or the input would be taken for a model.
+        let is_plain =
+            (1..EXTENSION.len() - 1).contains(&extension.len()) && extension.bytes().all(|b| b.is_ascii_alphanumeric());
+        let extension = if is_plain { extension } else { "mesh".to_owned() };
+        let name = format!("{id}{ORIGINAL}{:016x}.{extension}", hash.digest());
+        let path = self.directory.join(&name);
+        // The same input again: the file may be that of the model that is published now.
+        let is_new = !path.exists();
+        temporary.rename(&path).map_err(failed())?;
+        Ok(Original { name, path, is_unused: is_new })
+    }
+
+    /// Removes the originals of the model but the one given.
+    pub(super) fn retain_original(&self, id: &ModelId, kept: Option<&str>) {
+        // What cannot be removed now is by the next publication.
+        let Ok(entries) = fs::read_dir(&self.directory) else { return };
+        for entry in entries.flatten() {
+            let name = entry.file_name();
+            let Some(name) = name.to_str() else { continue };
+            if is_original(name, id) && Some(name) != kept {
+                let _ = fs::remove_file(entry.path());
+            }
+        }
+    }
+
     /// A new temporary file, locked as long as it is open: that tells living writers from dead ones on any number of processes
     /// and containers. Removes the files of dead ones.
     fn temporary(&self, id: &ModelId) -> io::Result<Temporary> {
@@ -135,6 +184,45 @@ impl Store {
             }
         }
         Ok(())
+    }
+}
+
+/// Whether a file is an original of the model: an id may hold the same words, but not before a hash and an extension.
+fn is_original(name: &str, id: &ModelId) -> bool {
+    let rest = name.strip_prefix(id.as_str()).and_then(|rest| rest.strip_prefix(ORIGINAL));
+    rest.and_then(|rest| rest.split_once('.')).is_some_and(|(hash, extension)| {
+        let is_hash = hash.len() == 16 && hash.bytes().all(|b| b.is_ascii_hexdigit());
+        is_hash
+            && !extension.is_empty()
+            && extension.bytes().all(|b| b.is_ascii_alphanumeric())
+            && extension != EXTENSION.trim_start_matches('.')
+    })
+}
+
+/// A copy of a model's input in the repository. It vanishes unless the model is published with it.
+#[derive(Debug)]
+pub struct Original {
+    name: String,
+    path: PathBuf,
+    is_unused: bool,
+}
+
+impl Original {
+    /// Its file name in the repository.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    pub(super) fn is_used(&mut self) {
+        self.is_unused = false;
+    }
+}
+
+impl Drop for Original {
+    fn drop(&mut self) {
+        if self.is_unused {
+            let _ = fs::remove_file(&self.path);
+        }
     }
 }
 

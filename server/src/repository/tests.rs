@@ -219,3 +219,44 @@ fn many_threads_publish_and_read_at_once() {
     });
     assert_eq!(scratch.names(), ["m.lodepack"]);
 }
+
+#[test]
+fn originals_come_and_go_with_their_models() {
+    let scratch = Scratch::new();
+    let inputs = Scratch::new();
+    let repository = Repository::open(&scratch.0).unwrap();
+    let input = |name: &str, content: &str| {
+        let path = inputs.0.join(name);
+        fs::write(&path, content).unwrap();
+        path
+    };
+    let publish_with = |name: &str, original: Option<Original>, seed| {
+        repository.publish_with(&id(name), original, |out| out.write_all(&bytes(seed)))
+    };
+    let keep = |name: &str, path: &Path| repository.keep_original(&id(name), path).unwrap();
+    let first = keep("a", &input("x.PLY", "one"));
+    let first_name = first.name().to_owned();
+    assert!(first_name.starts_with("a.original-") && first_name.ends_with(".ply"), "{first_name}");
+    publish_with("a", Some(first), 1).unwrap();
+    // A model whose name looks like that of an original is none.
+    let other = format!("a.original-{}", "0".repeat(16));
+    publish_with(&other, Some(keep(&other, &input("y", "two"))), 2).unwrap();
+    assert_eq!(fs::read_to_string(scratch.0.join(&first_name)).unwrap(), "one");
+    assert_eq!(scratch.names().len(), 4);
+
+    // A publication that fails leaves the earlier original, be it the same or another one.
+    for content in ["three", "one"] {
+        let original = keep("a", &input("x.ply", content));
+        let failed = repository.publish_with(&id("a"), Some(original), |_| Err::<(), _>(io::Error::other("full")));
+        assert!(failed.is_err());
+        assert!(scratch.0.join(&first_name).exists());
+        assert_eq!(scratch.names().len(), 4);
+    }
+    publish_with("a", Some(keep("a", &input("x.obj", "three"))), 3).unwrap();
+    assert!(!scratch.0.join(&first_name).exists());
+    assert_eq!(scratch.names().len(), 4);
+    publish_with("a", None, 3).unwrap();
+    assert_eq!(scratch.names().len(), 3);
+    assert_eq!(repository.list().unwrap().len(), 2);
+    assert!(repository.keep_original(&id("a"), &inputs.0.join("gone")).is_err());
+}

@@ -12,7 +12,7 @@ use lodestream_client::core::{ClientConfig, ClientSession};
 use lodestream_protocol::mesh::Replica;
 use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
-use lodestream_server::ingest::read::read_mesh;
+use lodestream_server::ingest::read::read_mesh_in_memory;
 use lodestream_server::session::score::Scorer;
 use lodestream_server::session::{Session, SessionConfig};
 use lodestream_tests::model::TestModel;
@@ -25,7 +25,7 @@ fn main() -> anyhow::Result<()> {
     let bits: Option<u8> = value("--bits").and_then(|v| v.parse().ok());
     let views: usize = value("--views").and_then(|v| v.parse().ok()).unwrap_or(40);
     for file in args.iter().take_while(|a| !a.starts_with("--")) {
-        let (mesh, _) = read_mesh(Path::new(file))?;
+        let (mesh, _) = read_mesh_in_memory(Path::new(file))?;
         let test = TestModel::new(mesh, bits);
         let case = Path::new(file).file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
         let line = |name: &str, value: f64, unit: &str| {

@@ -210,7 +210,7 @@ fn real_meshes_become_clean() {
     for path in paths {
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
         let start = std::time::Instant::now();
-        let (input, read_report) = match crate::ingest::read::read_mesh(&path) {
+        let (input, read_report) = match crate::ingest::read::read_mesh_in_memory(&path) {
             Ok(read) => read,
             Err(error) => {
                 println!("{name}: {error}");

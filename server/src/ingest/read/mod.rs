@@ -1,29 +1,49 @@
-//! Mesh files in, [`TriMesh`] out.
+//! Mesh files in, [`RawMesh`] out.
 //!
-//! Every reader takes the whole file as bytes and trusts none of them: counts are checked against the bytes that are
-//! left before anything is allocated, nothing recurses, and the work is linear in the length of the file. A reader
-//! reports what the file holds; mending it is the job of [`crate::ingest::clean`].
+//! Readers stream: no file is held in memory whole, except for a glTF document, whose length is limited. They trust no byte:
+//! counts are checked against the bytes that are left before anything is allocated, nothing recurses, and the work is linear
+//! in the length of the file. A reader reports what the file holds; mending it is the job of [`crate::ingest::clean`].
 //!
-//! Read next: [`ply`](read_ply), [`obj`](read_obj).
+//! Vertex colours are carried. Textures and material colours are baked into them; normals and texture coordinates are not
+//! carried. All that is left is named in [`ReadReport::not_carried`].
+//!
+//! Read next: `input` (the bytes), `sink` (the mesh), then one file for each format.
 
-use std::fmt;
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
 use serde::Serialize;
 
+use super::raw::RawMesh;
+use super::spill::Workspace;
 use crate::mesh::TriMesh;
 
+mod error;
+mod gltf;
+mod input;
 mod number;
 mod obj;
+mod off;
 mod ply;
+mod sink;
+mod stl;
+mod texture;
 
-pub use obj::read_obj;
-pub use ply::read_ply;
+pub use error::{Place, ReadError};
+
+use input::Input;
+use sink::Sink;
+use texture::color::channel_from_unit;
 
 #[cfg(test)]
 mod mutation_tests;
 #[cfg(test)]
 mod round_trip_tests;
+#[cfg(any(test, feature = "testing"))]
+pub mod testing;
+#[cfg(test)]
+mod tests;
 
 /// Most triangles one mesh may have: half-edges are numbered by `u32`, three to a triangle.
 pub const MAX_TRIANGLES: usize = (u32::MAX / 3) as usize;
@@ -36,16 +56,33 @@ pub const MAX_VERTICES: usize = u32::MAX as usize;
 pub struct ReadReport {
     /// Format of the file.
     pub format: Format,
-    /// Vertices in the file.
+    /// Vertices in the file. Those of STL are three for each triangle, those of glTF count once for each instance of a mesh.
     pub vertices: u64,
     /// Faces in the file, polygons counted once (triangle strips count as one face each).
     pub faces: u64,
     /// Triangles after polygons became fans.
     pub triangles: u64,
-    /// Whether every vertex got a colour from the file.
+    /// Whether every vertex got a colour from the file, its materials or its textures.
     pub colored: bool,
+    /// What was changed on the way in, one sentence fragment each: what was baked into vertex colours, and how.
+    pub notes: Vec<String>,
     /// What the file holds and the mesh does not, one sentence fragment each, in the order of the file.
     pub not_carried: Vec<String>,
+}
+
+impl ReadReport {
+    /// Of what is in `sink`, with a face for each triangle.
+    fn new(format: Format, sink: &Sink<'_>) -> Self {
+        Self {
+            format,
+            vertices: sink.vertices(),
+            faces: sink.triangles(),
+            triangles: sink.triangles(),
+            colored: sink.is_colored(),
+            notes: Vec::new(),
+            not_carried: Vec::new(),
+        }
+    }
 }
 
 /// A mesh file format that can be read.
@@ -60,173 +97,182 @@ pub enum Format {
     PlyBinaryBigEndian,
     /// Wavefront OBJ.
     Obj,
+    /// STL, text.
+    StlAscii,
+    /// STL, binary.
+    StlBinary,
+    /// OFF, text.
+    OffAscii,
+    /// OFF, binary.
+    OffBinary,
+    /// glTF 2.0, a JSON document.
+    Gltf,
+    /// glTF 2.0 with its data in one file.
+    Glb,
 }
 
-/// Where in a file something was found.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Place {
-    /// Line of a text file, from 1.
-    Line(u64),
-    /// Byte offset in a binary file, from 0.
-    Byte(u64),
-}
-
-impl fmt::Display for Place {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Line(line) => write!(f, "line {line}"),
-            Self::Byte(byte) => write!(f, "byte {byte}"),
-        }
-    }
-}
-
-/// Why a file gave no mesh. The file is at fault, except for [`ReadError::Io`].
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ReadError {
-    /// The file could not be read from its disk.
-    #[error("cannot read the file")]
-    Io(#[from] std::io::Error),
-    /// A format that is known, but that no reader exists for yet.
-    #[error("{format} files are not supported yet; ply and obj are")]
-    NotSupportedYet {
-        /// Usual name of the format.
-        format: &'static str,
-    },
-    /// Neither the content nor the extension tells a format.
-    #[error("unknown format (extension {extension:?}); ply and obj are supported")]
-    UnknownFormat {
-        /// Extension of the file, without its dot, empty if there is none.
-        extension: String,
-    },
-    /// A PLY header that cannot be understood.
-    #[error("header line {line}: {problem}")]
-    Header {
-        /// Line, from 1.
-        line: u64,
-        /// What is wrong with it.
-        problem: String,
-    },
-    /// A statement of a text file that cannot be understood.
-    #[error("line {line}: {problem}")]
-    Statement {
-        /// Line, from 1.
-        line: u64,
-        /// What is wrong with it.
-        problem: String,
-    },
-    /// A row of a PLY element that cannot be understood, or where the file ends.
-    #[error("{element} {index} at {place}: {problem}")]
-    Row {
-        /// Name of the element, such as `vertex`.
-        element: String,
-        /// Row of the element, from 0.
-        index: u64,
-        /// Where the row's offending value starts.
-        place: Place,
-        /// What is wrong with it.
-        problem: String,
-    },
-    /// More rows are announced than the rest of the file can hold.
-    #[error("{rows} rows of element {element} need at least {needed} bytes, but only {left} follow")]
-    Truncated {
-        /// Name of the element.
-        element: String,
-        /// Rows that the header announces.
-        rows: u64,
-        /// Least bytes that they take.
-        needed: u128,
-        /// Bytes that are left.
-        left: u64,
-    },
-    /// A face names a vertex that does not exist.
-    #[error("face {face} at {place} names vertex {index}, but the file has {vertices} vertices")]
-    VertexOutOfRange {
-        /// The face, from 0.
-        face: u64,
-        /// Where the face or its index stands.
-        place: Place,
-        /// The index as the file writes it.
-        index: i64,
-        /// Vertices in the file.
-        vertices: u64,
-    },
-    /// A point cloud, or an empty file.
-    #[error("the file holds no faces (it has {vertices} vertices; point clouds cannot be ingested)")]
-    NoFaces {
-        /// Vertices in the file.
-        vertices: u64,
-    },
-    /// More than [`MAX_VERTICES`] or [`MAX_TRIANGLES`].
-    #[error("the mesh has more than {limit} {what}")]
-    TooLarge {
-        /// What there is too much of.
-        what: &'static str,
-        /// How many there may be.
-        limit: u64,
-    },
-}
-
-/// Reads the mesh in the file at `path`.
+/// Reads the mesh in the file at `path` into spills of `workspace`; what is in the workspace's memory is all that is held of
+/// it, but for buffers of some megabytes. Textures take up to 200 MB while they are baked, and an OBJ that has some takes
+/// 8 bytes for each texture coordinate and 4 for each vertex until it is read. `progress` is called each megabyte or so with
+/// the bytes read so far and in all.
 ///
-/// PLY is known by its first bytes, OBJ by its extension. The file is read into memory whole.
+/// PLY, GLB and OFF are known by their first bytes, binary STL by its length, the others by their extension. Materials,
+/// textures and buffers are only looked for in the directory of the file and below it.
 ///
 /// # Errors
 /// [`ReadError`] says what stands where. Nothing is guessed: a file with one bad index gives no mesh.
-pub fn read_mesh(path: &Path) -> Result<(TriMesh, ReadReport), ReadError> {
+pub fn read_mesh(
+    path: &Path,
+    workspace: &Workspace,
+    progress: &mut dyn FnMut(u64, u64),
+) -> Result<(RawMesh, ReadReport), ReadError> {
+    // Before it is opened: opening a pipe waits for somebody to write.
+    let metadata = std::fs::metadata(path)?;
+    if !metadata.is_file() {
+        return Err(ReadError::NotAFile { what: if metadata.is_dir() { "a directory" } else { "a pipe or a device" } });
+    }
+    let mut file = File::open(path)?;
+    let len = file.metadata()?.len();
+    if len == 0 {
+        return Err(ReadError::Empty);
+    }
     let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
-    let bytes = std::fs::read(path)?;
-    if bytes.starts_with(b"ply") && bytes.get(3).is_some_and(|&b| b <= b' ') {
-        return read_ply(&bytes);
+    let mut first = [0; FIRST_BYTES];
+    let first_len = usize::try_from(len).unwrap_or(usize::MAX).min(FIRST_BYTES);
+    read_first(&mut file, &mut first[..first_len], len)?;
+    let first = &first[..first_len];
+    let kind = Kind::of(first, len, &extension).ok_or(ReadError::UnknownFormat { extension })?;
+    let sink = Sink::new(workspace);
+    if let Kind::Gltf = kind {
+        return gltf::read(&gltf::Bytes::File { file: &file, len }, path.parent(), sink, progress);
     }
-    if bytes.starts_with(b"glTF") {
-        return Err(ReadError::NotSupportedYet { format: "GLB" });
-    }
-    match extension.as_str() {
-        "ply" => read_ply(&bytes),
-        "obj" => read_obj(&bytes),
-        "stl" => Err(ReadError::NotSupportedYet { format: "STL" }),
-        "off" | "coff" | "noff" => Err(ReadError::NotSupportedYet { format: "OFF" }),
-        "gltf" => Err(ReadError::NotSupportedYet { format: "glTF" }),
-        "glb" => Err(ReadError::NotSupportedYet { format: "GLB" }),
-        _ => Err(ReadError::UnknownFormat { extension }),
-    }
+    let mut input = Input::new(first.chain(&file), len).with_progress(progress);
+    read_input(kind, &mut input, path.parent(), sink)
 }
 
-/// Appends the fan of one polygon, corner by corner, without a buffer.
-struct Fan<'a> {
-    faces: &'a mut Vec<[u32; 3]>,
-    first: u32,
-    previous: u32,
-    corners: usize,
-}
+/// Bytes that tell most formats.
+const FIRST_BYTES: usize = 84;
 
-impl<'a> Fan<'a> {
-    fn new(faces: &'a mut Vec<[u32; 3]>) -> Self {
-        Self { faces, first: 0, previous: 0, corners: 0 }
-    }
-
-    #[inline]
-    fn push(&mut self, corner: u32) -> Result<(), ReadError> {
-        match self.corners {
-            0 => self.first = corner,
-            1 => {}
-            _ => push_face(self.faces, [self.first, self.previous, corner])?,
+fn read_first(file: &mut File, first: &mut [u8], len: u64) -> Result<(), ReadError> {
+    let mut done = 0;
+    while done < first.len() {
+        match file.read(&mut first[done..]) {
+            Ok(0) => return Err(ReadError::Shrunk { at: done as u64, len }),
+            Ok(read) => done += read,
+            Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(ReadError::Io(error)),
         }
-        self.previous = corner;
-        self.corners += 1;
-        Ok(())
+    }
+    Ok(())
+}
+
+/// Which reader a file is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Ply,
+    Obj,
+    Stl,
+    Off,
+    Gltf,
+}
+
+impl Kind {
+    /// By the first bytes of the file, its length and its extension in lower case.
+    fn of(first: &[u8], len: u64, extension: &str) -> Option<Self> {
+        let is_keyword =
+            |keyword: &[u8]| first.strip_prefix(keyword).is_some_and(|rest| rest.first().is_none_or(|&b| b <= b' '));
+        if is_keyword(b"ply") {
+            return Some(Self::Ply);
+        }
+        if first.starts_with(b"glTF") {
+            return Some(Self::Gltf);
+        }
+        match extension {
+            "ply" => return Some(Self::Ply),
+            "obj" => return Some(Self::Obj),
+            "stl" => return Some(Self::Stl),
+            "off" | "coff" | "noff" | "stoff" | "cnoff" => return Some(Self::Off),
+            "gltf" | "glb" => return Some(Self::Gltf),
+            _ => {}
+        }
+        if [&b"OFF"[..], b"COFF", b"NOFF", b"STOFF", b"CNOFF"].into_iter().any(is_keyword) {
+            return Some(Self::Off);
+        }
+        (stl::is_binary(first, len) || is_keyword(b"solid")).then_some(Self::Stl)
     }
 }
 
-/// Appends one triangle, within [`MAX_TRIANGLES`].
-#[inline]
-fn push_face(faces: &mut Vec<[u32; 3]>, face: [u32; 3]) -> Result<(), ReadError> {
-    if faces.len() == MAX_TRIANGLES {
-        return Err(ReadError::TooLarge { what: "triangles", limit: MAX_TRIANGLES as u64 });
+fn read_input(
+    kind: Kind,
+    input: &mut Input<'_>,
+    directory: Option<&Path>,
+    sink: Sink<'_>,
+) -> Result<(RawMesh, ReadReport), ReadError> {
+    match kind {
+        Kind::Ply => ply::read(input, sink),
+        Kind::Obj => obj::read(input, directory, sink),
+        Kind::Stl => stl::read(input, sink),
+        Kind::Off => off::read(input, sink),
+        Kind::Gltf => unreachable!("glTF is not read front to back"),
     }
-    faces.push(face);
-    Ok(())
+}
+
+/// As [`read_mesh`], into memory.
+///
+/// # Errors
+/// Those of [`read_mesh`].
+pub fn read_mesh_in_memory(path: &Path) -> Result<(TriMesh, ReadReport), ReadError> {
+    load(read_mesh(path, &Workspace::in_memory(), &mut |_, _| {})?)
+}
+
+fn load((mesh, report): (RawMesh, ReadReport)) -> Result<(TriMesh, ReadReport), ReadError> {
+    Ok((mesh.load()?, report))
+}
+
+fn read_slice(kind: Kind, bytes: &[u8]) -> Result<(TriMesh, ReadReport), ReadError> {
+    let workspace = Workspace::in_memory();
+    load(read_input(kind, &mut Input::of_slice(bytes), None, Sink::new(&workspace))?)
+}
+
+/// Reads a PLY file that is in memory.
+///
+/// # Errors
+/// [`ReadError`].
+pub fn read_ply(bytes: &[u8]) -> Result<(TriMesh, ReadReport), ReadError> {
+    read_slice(Kind::Ply, bytes)
+}
+
+/// Reads an OBJ file that is in memory. Its materials are not looked for.
+///
+/// # Errors
+/// [`ReadError`].
+pub fn read_obj(bytes: &[u8]) -> Result<(TriMesh, ReadReport), ReadError> {
+    read_slice(Kind::Obj, bytes)
+}
+
+/// Reads an STL file that is in memory.
+///
+/// # Errors
+/// [`ReadError`].
+pub fn read_stl(bytes: &[u8]) -> Result<(TriMesh, ReadReport), ReadError> {
+    read_slice(Kind::Stl, bytes)
+}
+
+/// Reads an OFF file that is in memory.
+///
+/// # Errors
+/// [`ReadError`].
+pub fn read_off(bytes: &[u8]) -> Result<(TriMesh, ReadReport), ReadError> {
+    read_slice(Kind::Off, bytes)
+}
+
+/// Reads a glTF or GLB file that is in memory. Buffers and textures in other files are not looked for.
+///
+/// # Errors
+/// [`ReadError`].
+pub fn read_gltf(bytes: &[u8]) -> Result<(TriMesh, ReadReport), ReadError> {
+    let workspace = Workspace::in_memory();
+    load(gltf::read(&gltf::Bytes::Slice(bytes), None, Sink::new(&workspace), &mut |_, _| {})?)
 }
 
 /// Text of the file for an error message: short, printable, in quotes.
@@ -236,40 +282,9 @@ fn quoted(text: &[u8]) -> String {
     format!("`{shown}{}`", if text.len() > SHOWN { "..." } else { "" })
 }
 
-/// Colour channel in 0..=1 to 0..=255; what lies outside is clamped and NaN is 0.
-fn channel_from_unit(value: f64) -> u8 {
-    // `as` saturates and takes NaN to 0, both of which are wanted here.
-    (value * 255.0 + 0.5) as u8
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn known_formats_without_a_reader_say_so() {
-        let dir = std::env::temp_dir().join(format!("lodestream-read-{}", std::process::id()));
-        std::fs::create_dir_all(&dir).unwrap();
-        for (name, content, expected) in [
-            ("a.stl", "solid x", "STL files are not supported yet; ply and obj are"),
-            ("b.bin", "glTF", "GLB files are not supported yet; ply and obj are"),
-            ("c.xyz", "1 2 3", "unknown format (extension \"xyz\"); ply and obj are supported"),
-            ("d.ply", "plywood", "header line 1: a PLY file starts with the line `ply`"),
-        ] {
-            let path = dir.join(name);
-            std::fs::write(&path, content).unwrap();
-            assert_eq!(read_mesh(&path).unwrap_err().to_string(), expected);
-        }
-        std::fs::remove_dir_all(&dir).unwrap();
-        assert!(matches!(read_mesh(&dir.join("gone.ply")), Err(ReadError::Io(_))));
-    }
-
-    #[test]
-    fn ply_is_known_by_its_content() {
-        let path = std::env::temp_dir().join(format!("lodestream-read-{}.dat", std::process::id()));
-        std::fs::write(&path, "ply\nformat ascii 1.0\nend_header\n").unwrap();
-        let result = read_mesh(&path);
-        std::fs::remove_file(&path).unwrap();
-        assert!(matches!(result, Err(ReadError::NoFaces { vertices: 0 })));
+/// Notes how many there are of something, if there are any.
+fn note(notes: &mut Vec<String>, count: u64, what: &str) {
+    if count > 0 {
+        notes.push(format!("{count} {what}"));
     }
 }

@@ -99,11 +99,6 @@ pub(super) fn parse_i64(token: &[u8]) -> Option<i64> {
     Some(if negative { -value } else { value })
 }
 
-/// Lines before byte `at`, counted from 1, for error messages.
-pub(super) fn line_at(bytes: &[u8], at: usize) -> u64 {
-    1 + bytes[..at.min(bytes.len())].iter().filter(|&&b| b == b'\n').count() as u64
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

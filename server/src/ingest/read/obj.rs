@@ -1,41 +1,90 @@
-//! Wavefront OBJ: vertices, vertex colours and faces; everything else is counted and left.
+//! Wavefront OBJ: vertices, vertex colours, faces, and the colours of their materials; everything else is counted and left.
 
+use std::path::Path;
+
+use super::input::{BUFFER, Input, Lines, Words};
 use super::number::{parse_f64, parse_i64};
-use super::{Fan, Format, MAX_VERTICES, Place, ReadError, ReadReport, channel_from_unit, quoted};
-use crate::mesh::TriMesh;
+use super::sink::{Fan, Sink};
+use super::{Format, MAX_VERTICES, Place, ReadError, ReadReport, channel_from_unit, note, quoted};
+use crate::ingest::raw::RawMesh;
 
+mod bake;
+mod material;
 #[cfg(test)]
 mod tests;
 
-/// Reads an OBJ file.
+use bake::Bake;
+
+/// Reads an OBJ file, with its materials and textures in `directory`.
 ///
 /// Polygons become fans around their first corner. Vertex colours are three numbers in 0..=1 after the position;
-/// vertices without one are white if others have one. Faces may name vertices that follow them. Cost is linear in
-/// the length of the file; memory is at most some ten times that.
+/// vertices without one are white if others have one. Where a face's material has a texture, its vertices take their
+/// colours from there, where it only has a colour, those without a colour of their own take that; the first face of a
+/// vertex decides. Positions are not split at seams of the texture. Faces may name vertices that follow them. Cost is linear
+/// in the length of the file.
 ///
 /// # Errors
 /// [`ReadError`] names the line.
-pub fn read_obj(bytes: &[u8]) -> Result<(TriMesh, ReadReport), ReadError> {
-    let reader = Reader::run(bytes, None)?;
-    let vertices = reader.mesh.positions.len() as u64;
-    if reader.highest_index > vertices {
-        // A face names a vertex that never came. Which one only shows when the number of vertices is known.
-        Reader::run(bytes, Some(vertices))?;
+pub(super) fn read(
+    input: &mut Input<'_>,
+    directory: Option<&Path>,
+    sink: Sink<'_>,
+) -> Result<(RawMesh, ReadReport), ReadError> {
+    let mut reader = Reader {
+        sink,
+        bake: Bake::new(directory),
+        highest: None,
+        faces: 0,
+        colored_vertices: 0,
+        clamped_colors: 0,
+        skipped: Skipped::default(),
+    };
+    let mut lines = Lines::new(input)?;
+    let mut joined = Vec::new();
+    while let Some((number, line)) = lines.next(b'#')? {
+        let Some(first) = line.iter().position(|&b| b > b' ') else { continue };
+        let line = &line[first..];
+        if line[0] == b'#' {
+            continue;
+        }
+        let Some(head) = continued(line) else {
+            reader.statement(number, line)?;
+            continue;
+        };
+        joined.clear();
+        joined.extend_from_slice(head);
+        while let Some((_, next)) = lines.next(b'#')? {
+            joined.push(b' ');
+            let head = continued(next);
+            joined.extend_from_slice(head.unwrap_or(next));
+            if joined.len() > BUFFER {
+                return Err(statement_error(number, format!("the statement is longer than {BUFFER} bytes")));
+            }
+            if head.is_none() {
+                break;
+            }
+        }
+        reader.statement(number, &joined)?;
     }
     reader.finish()
 }
 
-#[derive(Default)]
-struct Reader {
-    mesh: TriMesh,
-    /// Vertices of the whole file, once known.
-    vertices: Option<u64>,
-    /// Highest vertex index of any face, from 1.
-    highest_index: u64,
+struct Reader<'d, 'w> {
+    sink: Sink<'w>,
+    bake: Bake<'d>,
+    /// The highest vertex index of any face, and the first face that has it.
+    highest: Option<Highest>,
     faces: u64,
     colored_vertices: u64,
     clamped_colors: u64,
     skipped: Skipped,
+}
+
+#[derive(Clone, Copy)]
+struct Highest {
+    vertex: u32,
+    face: u64,
+    line: u64,
 }
 
 /// How many statements of each kind were left.
@@ -46,46 +95,13 @@ struct Skipped {
     texture_coordinates: u64,
     normals: u64,
     groups: u64,
-    materials: u64,
-    libraries: Vec<String>,
     points_and_lines: u64,
     curves_and_surfaces: u64,
     unknown: u64,
     first_unknown: Option<String>,
 }
 
-impl Reader {
-    fn run(bytes: &[u8], vertices: Option<u64>) -> Result<Self, ReadError> {
-        let mut reader = Self { vertices, ..Self::default() };
-        let mut lines = Lines::new(bytes);
-        let mut joined = Vec::new();
-        while let Some((number, line)) = lines.next() {
-            let Some(first) = line.iter().position(|&b| b > b' ') else { continue };
-            let line = &line[first..];
-            if line[0] == b'#' {
-                continue;
-            }
-            let Some(head) = continued(line) else {
-                reader.statement(number, line)?;
-                continue;
-            };
-            joined.clear();
-            joined.extend_from_slice(head);
-            while let Some((_, next)) = lines.next() {
-                joined.push(b' ');
-                match continued(next) {
-                    Some(head) => joined.extend_from_slice(head),
-                    None => {
-                        joined.extend_from_slice(next);
-                        break;
-                    }
-                }
-            }
-            reader.statement(number, &joined)?;
-        }
-        Ok(reader)
-    }
-
+impl Reader<'_, '_> {
     #[inline]
     fn statement(&mut self, number: u64, line: &[u8]) -> Result<(), ReadError> {
         let mut words = Words(line);
@@ -93,24 +109,22 @@ impl Reader {
         match words.next().unwrap_or_default() {
             b"v" => self.vertex(number, words)?,
             b"f" | b"fo" => self.face(number, words)?,
-            b"vt" => skipped.texture_coordinates += 1,
+            b"vt" => {
+                skipped.texture_coordinates += 1;
+                self.bake.texture_coordinate(words);
+            }
             b"vn" => skipped.normals += 1,
             b"o" | b"g" | b"s" | b"mg" => skipped.groups += 1,
-            b"usemtl" | b"usemap" => skipped.materials += 1,
-            b"mtllib" | b"maplib" => {
-                // A few names are worth a line in the report; the rest is noise.
-                if skipped.libraries.len() < 4 {
-                    let name = String::from_utf8_lossy(words.0.trim_ascii());
-                    skipped.libraries.push(name.chars().take(80).collect());
-                }
-            }
+            b"usemtl" => self.bake.use_material(words.0.trim_ascii()),
+            b"mtllib" => self.bake.library(words.0.trim_ascii(), self.sink.vertices(), self.colored_vertices),
             b"p" | b"l" => skipped.points_and_lines += 1,
             b"vp" | b"cstype" | b"deg" | b"bmat" | b"step" | b"curv" | b"curv2" | b"surf" | b"parm" | b"trim"
             | b"hole" | b"scrv" | b"sp" | b"end" | b"con" | b"ctech" | b"stech" | b"bzp" | b"bsp" | b"cdc" | b"cdp"
             | b"res" => {
                 skipped.curves_and_surfaces += 1;
             }
-            b"bevel" | b"c_interp" | b"d_interp" | b"lod" | b"shadow_obj" | b"trace_obj" | b"call" | b"csh" => {}
+            b"bevel" | b"c_interp" | b"d_interp" | b"lod" | b"shadow_obj" | b"trace_obj" | b"call" | b"csh"
+            | b"maplib" | b"usemap" => {}
             keyword => {
                 skipped.unknown += 1;
                 if skipped.first_unknown.is_none() {
@@ -136,46 +150,44 @@ impl Reader {
         if count < 3 {
             return Err(statement_error(line, format!("a vertex needs three coordinates, this one has {count}")));
         }
-        if self.mesh.positions.len() == MAX_VERTICES {
-            return Err(ReadError::TooLarge { what: "vertices", limit: MAX_VERTICES as u64 });
-        }
-        let before = self.mesh.positions.len();
-        self.mesh.positions.push([values[0], values[1], values[2]]);
+        self.sink.push_vertex([values[0], values[1], values[2]])?;
         self.skipped.weights += u64::from(count == 4 && values[3] != 1.0);
         if count >= 6 {
             let rgb = [values[3], values[4], values[5]];
             self.colored_vertices += 1;
             self.clamped_colors += u64::from(!rgb.iter().all(|c| (0.0..=1.0).contains(c)));
-            let colors = self.mesh.colors.get_or_insert_default();
-            colors.resize(before, WHITE);
-            colors.push(rgb.map(channel_from_unit));
+            self.sink.color_last(rgb.map(channel_from_unit))?;
+            self.bake.has_color(self.sink.vertices() - 1);
         }
         Ok(())
     }
 
     fn face(&mut self, line: u64, words: Words<'_>) -> Result<(), ReadError> {
-        let known = self.mesh.positions.len() as i64;
-        let mut fan = Fan::new(&mut self.mesh.faces);
+        let known = self.sink.vertices();
+        let mut fan = Fan::new();
         for word in words {
-            let index = parse_corner(word).ok_or_else(|| {
+            let (index, texture) = parse_corner(word).ok_or_else(|| {
                 statement_error(line, format!("{} is not a corner of a face (v, v/vt, v//vn or v/vt/vn)", quoted(word)))
             })?;
             // From 1, or from -1 backwards: -1 is the vertex read last.
-            let absolute = if index < 0 { known + index + 1 } else { index };
-            let limit = self.vertices.unwrap_or(MAX_VERTICES as u64);
+            let absolute = if index < 0 { known as i64 + index } else { index - 1 };
             match u32::try_from(absolute) {
-                Ok(one_based) if one_based > 0 && u64::from(one_based) <= limit => {
-                    self.highest_index = self.highest_index.max(u64::from(one_based));
-                    fan.push(one_based - 1)?;
+                Ok(vertex) if (vertex as usize) < MAX_VERTICES => {
+                    if self.highest.is_none_or(|highest| vertex > highest.vertex) {
+                        self.highest = Some(Highest { vertex, face: self.faces, line });
+                    }
+                    fan.push(vertex, &mut self.sink)?;
+                    if self.bake.is_on() {
+                        self.bake.corner(vertex, known, texture, self.skipped.texture_coordinates);
+                    }
                 }
                 _ if index == 0 => return Err(statement_error(line, "vertex index 0 (OBJ counts from 1)")),
                 _ => {
-                    let vertices = self.vertices.unwrap_or(known as u64);
                     return Err(ReadError::VertexOutOfRange {
                         face: self.faces,
                         place: Place::Line(line),
                         index,
-                        vertices,
+                        vertices: known,
                     });
                 }
             }
@@ -185,64 +197,52 @@ impl Reader {
         Ok(())
     }
 
-    fn finish(mut self) -> Result<(TriMesh, ReadReport), ReadError> {
-        let vertices = self.mesh.positions.len() as u64;
-        if self.mesh.faces.is_empty() {
+    fn finish(self) -> Result<(RawMesh, ReadReport), ReadError> {
+        let vertices = self.sink.vertices();
+        if let Some(Highest { vertex, face, line }) = self.highest {
+            // A face may name a vertex that follows, so that only shows now.
+            if u64::from(vertex) >= vertices {
+                let index = i64::from(vertex) + 1;
+                return Err(ReadError::VertexOutOfRange { face, place: Place::Line(line), index, vertices });
+            }
+        }
+        if self.sink.triangles() == 0 {
             return Err(ReadError::NoFaces { vertices });
         }
-        if let Some(colors) = &mut self.mesh.colors {
-            colors.resize(self.mesh.positions.len(), WHITE);
+        let mut report = ReadReport { faces: self.faces, ..ReadReport::new(Format::Obj, &self.sink) };
+        self.note_skipped(&mut report.not_carried);
+        let workspace = self.sink.workspace();
+        let mesh = self.bake.finish(self.sink.finish()?, self.colored_vertices, workspace, &mut report)?;
+        if let Some(first) = &self.skipped.first_unknown {
+            report.not_carried.push(format!("{} unknown statements, the first is {first}", self.skipped.unknown));
         }
-        let report = ReadReport {
-            format: Format::Obj,
-            vertices,
-            faces: self.faces,
-            triangles: self.mesh.faces.len() as u64,
-            colored: self.colored_vertices == vertices,
-            not_carried: self.not_carried(vertices),
-        };
-        Ok((self.mesh, report))
+        Ok((mesh, report))
     }
 
-    fn not_carried(&mut self, vertices: u64) -> Vec<String> {
-        let skipped = &mut self.skipped;
-        let mut notes = Vec::new();
-        let mut note = |count: u64, what: &str| {
-            if count > 0 {
-                notes.push(format!("{count} {what}"));
-            }
-        };
-        note(skipped.texture_coordinates, "texture coordinates");
-        note(skipped.normals, "normals");
-        note(skipped.groups, "object, group and smoothing statements");
-        note(skipped.materials, "uses of a material (textures are not baked yet)");
-        note(skipped.short_faces, "faces with fewer than three corners");
-        note(skipped.points_and_lines, "points and lines");
-        note(skipped.curves_and_surfaces, "statements of free-form curves and surfaces");
-        note(skipped.weights, "vertex weights other than 1");
-        note(self.clamped_colors, "colours outside 0..=1 (clamped)");
-        if self.colored_vertices > 0 {
-            note(vertices - self.colored_vertices, "vertices without a colour (white)");
-        }
-        let libraries = skipped.libraries.drain(..);
-        notes.extend(libraries.map(|name| format!("materials from {name} (textures are not baked yet)")));
-        if let Some(first) = &skipped.first_unknown {
-            notes.push(format!("{} unknown statements, the first is {first}", skipped.unknown));
-        }
-        notes
+    fn note_skipped(&self, notes: &mut Vec<String>) {
+        let skipped = &self.skipped;
+        note(notes, skipped.texture_coordinates, "texture coordinates");
+        note(notes, skipped.normals, "normals");
+        note(notes, skipped.groups, "object, group and smoothing statements");
+        note(notes, skipped.short_faces, "faces with fewer than three corners");
+        note(notes, skipped.points_and_lines, "points and lines");
+        note(notes, skipped.curves_and_surfaces, "statements of free-form curves and surfaces");
+        note(notes, skipped.weights, "vertex weights other than 1");
+        note(notes, self.clamped_colors, "colours outside 0..=1 (clamped)");
     }
 }
 
-const WHITE: [u8; 3] = [255; 3];
-
-/// Vertex index of a corner `v`, `v/vt`, `v//vn` or `v/vt/vn`.
+/// Vertex and texture index of a corner `v`, `v/vt`, `v//vn` or `v/vt/vn`, as they are written.
 #[inline]
-fn parse_corner(word: &[u8]) -> Option<i64> {
-    let end = word.iter().position(|&b| b == b'/').unwrap_or(word.len());
-    let (index, rest) = word.split_at(end);
-    // The other indices are not carried, but they tell a corner from other text.
-    let is_corner = rest.iter().all(|b| b.is_ascii_digit() || matches!(b, b'/' | b'-'));
-    if is_corner { parse_i64(index) } else { None }
+fn parse_corner(word: &[u8]) -> Option<(i64, Option<i64>)> {
+    let Some(end) = word.iter().position(|&b| b == b'/') else { return Some((parse_i64(word)?, None)) };
+    let rest = &word[end + 1..];
+    // The index of the normal is not carried, but it tells a corner from other text.
+    if !rest.iter().all(|b| b.is_ascii_digit() || matches!(b, b'/' | b'-')) {
+        return None;
+    }
+    let texture = rest.split(|&b| b == b'/').next().unwrap_or_default();
+    Some((parse_i64(&word[..end])?, parse_i64(texture)))
 }
 
 #[cold]
@@ -256,46 +256,5 @@ fn continued(line: &[u8]) -> Option<&[u8]> {
     match line.trim_ascii_end() {
         [head @ .., b'\\'] => Some(head),
         _ => None,
-    }
-}
-
-/// Lines of a file, numbered from 1. They end with a line feed, or with a carriage return if there is none in the file.
-struct Lines<'a> {
-    rest: &'a [u8],
-    terminator: u8,
-    number: u64,
-}
-
-impl<'a> Lines<'a> {
-    fn new(bytes: &'a [u8]) -> Self {
-        Self { rest: bytes, terminator: if bytes.contains(&b'\n') { b'\n' } else { b'\r' }, number: 0 }
-    }
-
-    #[inline]
-    fn next(&mut self) -> Option<(u64, &'a [u8])> {
-        if self.rest.is_empty() {
-            return None;
-        }
-        let end = self.rest.iter().position(|&b| b == self.terminator).unwrap_or(self.rest.len());
-        let line = &self.rest[..end];
-        self.rest = self.rest.get(end + 1..).unwrap_or_default();
-        self.number += 1;
-        Some((self.number, line))
-    }
-}
-
-/// Words between white space.
-struct Words<'a>(&'a [u8]);
-
-impl<'a> Iterator for Words<'a> {
-    type Item = &'a [u8];
-
-    #[inline]
-    fn next(&mut self) -> Option<&'a [u8]> {
-        let start = self.0.iter().position(|&b| b > b' ')?;
-        let rest = &self.0[start..];
-        let end = rest.iter().position(|&b| b <= b' ').unwrap_or(rest.len());
-        self.0 = &rest[end..];
-        Some(&rest[..end])
     }
 }

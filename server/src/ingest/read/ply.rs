@@ -2,8 +2,10 @@
 //!
 //! Knows the elements `vertex`, `face` and `tristrips`; passes over the rest.
 
-use super::{Fan, Format, MAX_VERTICES, ReadError, ReadReport, channel_from_unit, push_face};
-use crate::mesh::TriMesh;
+use super::input::{BUFFER, Input};
+use super::sink::{Fan, Sink, Strip};
+use super::{Format, MAX_VERTICES, ReadError, ReadReport, channel_from_unit};
+use crate::ingest::raw::RawMesh;
 
 mod header;
 mod source;
@@ -17,17 +19,19 @@ use source::{Binary, Fault, Source, Text};
 ///
 /// Polygons become fans around their first corner, strips become triangles. Vertex colours come from `red`, `green`
 /// and `blue` (or `diffuse_red` and so on, or `r`, `g`, `b`): bytes as they are, 16-bit ones by their upper half,
-/// floats from 0..=1. Cost is linear in the length of the file; memory is at most some ten times that.
+/// floats from 0..=1. Cost is linear in the length of the file.
 ///
 /// # Errors
 /// [`ReadError`] names the header line, or the element, its row and the line (text) or byte (binary).
-pub fn read_ply(bytes: &[u8]) -> Result<(TriMesh, ReadReport), ReadError> {
-    let header = Header::parse(bytes)?;
+pub(super) fn read(input: &mut Input<'_>, sink: Sink<'_>) -> Result<(RawMesh, ReadReport), ReadError> {
+    let is_all = input.len() <= BUFFER as u64;
+    let header = Header::parse(input.fill(BUFFER)?, is_all)?;
+    input.consume(header.body);
     let layout = Layout::new(&header)?;
     match header.format {
-        Format::PlyBinaryLittleEndian => read_body(&header, &layout, Binary::<false>::new(bytes, header.body)),
-        Format::PlyBinaryBigEndian => read_body(&header, &layout, Binary::<true>::new(bytes, header.body)),
-        _ => read_body(&header, &layout, Text::new(bytes, header.body)),
+        Format::PlyBinaryLittleEndian => read_body(&header, &layout, sink, Binary::<false>::new(input)),
+        Format::PlyBinaryBigEndian => read_body(&header, &layout, sink, Binary::<true>::new(input)),
+        _ => read_body(&header, &layout, sink, Text::new(input)),
     }
 }
 
@@ -120,20 +124,24 @@ fn set_corners(corners: &mut Option<usize>, element: &Element) -> Result<(), Rea
 }
 
 /// What is read so far.
-#[derive(Default)]
-struct Build {
-    mesh: TriMesh,
+struct Build<'w> {
+    sink: Sink<'w>,
     faces: u64,
     short_faces: u64,
     not_carried: Vec<String>,
 }
 
-fn read_body<S: Source>(header: &Header, layout: &Layout, mut source: S) -> Result<(TriMesh, ReadReport), ReadError> {
-    let mut build = Build::default();
+fn read_body<S: Source>(
+    header: &Header,
+    layout: &Layout,
+    sink: Sink<'_>,
+    mut source: S,
+) -> Result<(RawMesh, ReadReport), ReadError> {
+    let mut build = Build { sink, faces: 0, short_faces: 0, not_carried: Vec::new() };
     for element in &header.elements {
         let needed = source.min_element_bytes(element);
-        if needed > source.left() as u128 {
-            let left = source.left() as u64;
+        if needed > u128::from(source.left()) {
+            let left = source.left();
             return Err(ReadError::Truncated { element: element.name.clone(), rows: element.rows, needed, left });
         }
         match element.name.as_str() {
@@ -149,41 +157,47 @@ fn read_body<S: Source>(header: &Header, layout: &Layout, mut source: S) -> Resu
             _ => skip_element(element, &mut source, &mut build)?,
         }
     }
-    let Build { mesh, faces, short_faces, mut not_carried } = build;
-    if mesh.faces.is_empty() {
+    let Build { sink, faces, short_faces, mut not_carried } = build;
+    if sink.triangles() == 0 {
         return Err(ReadError::NoFaces { vertices: layout.vertex_rows });
     }
     if short_faces > 0 {
         not_carried.push(format!("{short_faces} faces with fewer than three corners"));
     }
-    not_carried.extend(header.textures.iter().map(|name| format!("texture {name} (textures are not baked yet)")));
-    if source.has_more() {
+    let textures = header.textures.iter();
+    not_carried.extend(textures.map(|name| format!("texture {name} (textures of PLY files are not baked)")));
+    if source.has_more()? {
         not_carried.push(format!("{} bytes after the last element", source.left()));
     }
-    let report = ReadReport {
-        format: header.format,
-        vertices: mesh.positions.len() as u64,
-        faces,
-        triangles: mesh.faces.len() as u64,
-        colored: mesh.colors.is_some(),
-        not_carried,
-    };
-    Ok((mesh, report))
+    let report = ReadReport { faces, colored: sink.is_colored(), not_carried, ..ReadReport::new(header.format, &sink) };
+    Ok((sink.finish()?, report))
 }
 
 fn read_vertices<S: Source>(
     element: &Element,
     layout: &Layout,
     source: &mut S,
-    build: &mut Build,
+    build: &mut Build<'_>,
 ) -> Result<(), ReadError> {
-    // Each row takes at least three bytes, so the capacity is bounded by the length of the file.
-    let rows = usize::try_from(element.rows).expect("at most MAX_VERTICES");
-    let mut positions = Vec::with_capacity(rows);
-    let mut colors = Vec::with_capacity(if layout.colored { rows } else { 0 });
+    let mut row = 0;
+    if let Some(columns) = Columns::new(element, layout).filter(|_| S::HAS_FIXED_ROWS) {
+        while row < element.rows {
+            let rows = source.fixed_rows(columns.row_bytes, element.rows - row)?;
+            if rows.is_empty() {
+                break;
+            }
+            for bytes in rows.chunks_exact(columns.row_bytes) {
+                build.sink.push_vertex(columns.positions.map(|column| column.get(bytes)))?;
+                if let Some(colors) = columns.colors {
+                    build.sink.color_last(colors.map(|column| column.channel(bytes)))?;
+                }
+            }
+            row += (rows.len() / columns.row_bytes) as u64;
+        }
+    }
     let columns: Vec<(Kind, Role)> =
         element.properties.iter().map(|p| p.kind).zip(layout.vertex_roles.iter().copied()).collect();
-    for row in 0..element.rows {
+    for row in row..element.rows {
         let mut position = [0.0; 3];
         let mut color = [0; 3];
         for &(kind, role) in &columns {
@@ -194,18 +208,75 @@ fn read_vertices<S: Source>(
                 }
                 _ => source.skip_property(kind),
             };
-            result.map_err(|fault| row_error(element, row, source, &fault))?;
+            result.map_err(|fault| row_error(element, row, source, fault))?;
         }
-        positions.push(position);
+        build.sink.push_vertex(position)?;
         if layout.colored {
-            colors.push(color);
+            build.sink.color_last(color)?;
         }
     }
-    build.mesh.positions = positions;
-    build.mesh.colors = layout.colored.then_some(colors);
     let others = layout.vertex_roles.iter().enumerate().filter(|(_, role)| **role == Role::Other);
     build.note_properties(element, others.map(|(k, _)| k));
     Ok(())
+}
+
+/// Where a value stands in rows of a fixed number of bytes, little-endian.
+#[derive(Clone, Copy, Debug)]
+struct Column {
+    offset: usize,
+    scalar: Scalar,
+}
+
+impl Column {
+    #[inline]
+    fn get(self, row: &[u8]) -> f64 {
+        let bytes = &row[self.offset..];
+        // The row is as long as the columns need.
+        fn first<const N: usize>(bytes: &[u8]) -> [u8; N] {
+            *bytes.first_chunk().expect("rows are as long as their columns")
+        }
+        match self.scalar {
+            Scalar::I8 => f64::from(bytes[0] as i8),
+            Scalar::U8 => f64::from(bytes[0]),
+            Scalar::I16 => f64::from(i16::from_le_bytes(first(bytes))),
+            Scalar::U16 => f64::from(u16::from_le_bytes(first(bytes))),
+            Scalar::I32 => f64::from(i32::from_le_bytes(first(bytes))),
+            Scalar::U32 => f64::from(u32::from_le_bytes(first(bytes))),
+            Scalar::F32 => f64::from(f32::from_le_bytes(first(bytes))),
+            Scalar::F64 => f64::from_le_bytes(first(bytes)),
+        }
+    }
+
+    #[inline]
+    fn channel(self, row: &[u8]) -> u8 {
+        if self.scalar == Scalar::U8 { row[self.offset] } else { channel(self.scalar, self.get(row)) }
+    }
+}
+
+/// The values wanted of vertices whose rows have a fixed length.
+#[derive(Clone, Copy, Debug)]
+struct Columns {
+    row_bytes: usize,
+    positions: [Column; 3],
+    colors: Option<[Column; 3]>,
+}
+
+impl Columns {
+    /// `None` if a property is a list.
+    fn new(element: &Element, layout: &Layout) -> Option<Self> {
+        let nowhere = [Column { offset: 0, scalar: Scalar::U8 }; 3];
+        let (mut positions, mut colors, mut offset) = (nowhere, nowhere, 0);
+        for (property, role) in element.properties.iter().zip(&layout.vertex_roles) {
+            let Kind::Scalar(scalar) = property.kind else { return None };
+            match *role {
+                Role::Position(k) => positions[k] = Column { offset, scalar },
+                Role::Color(k) => colors[k] = Column { offset, scalar },
+                Role::Other => {}
+            }
+            offset += scalar.byte_len();
+        }
+        Some(Self { row_bytes: offset, positions, colors: layout.colored.then_some(colors) })
+    }
 }
 
 fn read_faces<S: Source>(
@@ -213,77 +284,92 @@ fn read_faces<S: Source>(
     corners: usize,
     vertices: u64,
     source: &mut S,
-    build: &mut Build,
+    build: &mut Build<'_>,
 ) -> Result<(), ReadError> {
-    build.reserve_faces(element, corners, source);
     let kinds: Vec<Kind> = element.properties.iter().map(|p| p.kind).collect();
-    for row in 0..element.rows {
-        for (k, &kind) in kinds.iter().enumerate() {
-            let Kind::List { count, item } = kind else {
-                source.skip_property(kind).map_err(|fault| row_error(element, row, source, &fault))?;
-                continue;
-            };
-            if k != corners {
-                source.skip_property(kind).map_err(|fault| row_error(element, row, source, &fault))?;
+    let is_plain = matches!(
+        kinds[..],
+        [Kind::List { count: Scalar::U8 | Scalar::I8, item: Scalar::U32 | Scalar::I32 }] if vertices <= 1 << 31
+    );
+    let mut row = 0;
+    while row < element.rows {
+        if is_plain {
+            let sink = &mut build.sink;
+            let rows = source.triangles(element.rows - row, vertices, |face| sink.push_face(face))?;
+            row += rows;
+            if rows > 0 {
                 continue;
             }
-            let len = source.list_len(count, item).map_err(|fault| row_error(element, row, source, &fault))?;
-            let mut fan = Fan::new(&mut build.mesh.faces);
-            for _ in 0..len {
-                let index = source.integer(item).map_err(|fault| row_error(element, row, source, &fault))?;
-                match u32::try_from(index) {
-                    Ok(corner) if u64::from(corner) < vertices => fan.push(corner)?,
-                    _ => return Err(out_of_range(row, index, vertices, source)),
-                }
-            }
-            build.short_faces += u64::from(len < 3);
         }
+        read_face(element, row, corners, vertices, source, build)?;
+        row += 1;
     }
     build.faces += element.rows;
     build.note_properties(element, (0..kinds.len()).filter(|&k| k != corners));
     Ok(())
 }
 
-/// Reads triangle strips: every two neighbours make a triangle with the next corner, every second one is turned
-/// round, -1 starts anew. Triangles with a repeated corner only steer the strip and are left out.
+fn read_face<S: Source>(
+    element: &Element,
+    row: u64,
+    corners: usize,
+    vertices: u64,
+    source: &mut S,
+    build: &mut Build<'_>,
+) -> Result<(), ReadError> {
+    for (k, property) in element.properties.iter().enumerate() {
+        let Kind::List { count, item } = property.kind else {
+            source.skip_property(property.kind).map_err(|fault| row_error(element, row, source, fault))?;
+            continue;
+        };
+        if k != corners {
+            source.skip_property(property.kind).map_err(|fault| row_error(element, row, source, fault))?;
+            continue;
+        }
+        let len = source.list_len(count, item).map_err(|fault| row_error(element, row, source, fault))?;
+        let mut fan = Fan::new();
+        for _ in 0..len {
+            let index = source.integer(item).map_err(|fault| row_error(element, row, source, fault))?;
+            match u32::try_from(index) {
+                Ok(corner) if u64::from(corner) < vertices => fan.push(corner, &mut build.sink)?,
+                _ => return Err(out_of_range(row, index, vertices, source)),
+            }
+        }
+        build.short_faces += u64::from(len < 3);
+    }
+    Ok(())
+}
+
+/// Reads triangle strips: -1 starts anew.
 fn read_strips<S: Source>(
     element: &Element,
     corners: usize,
     vertices: u64,
     source: &mut S,
-    build: &mut Build,
+    build: &mut Build<'_>,
 ) -> Result<(), ReadError> {
     for row in 0..element.rows {
         for (k, property) in element.properties.iter().enumerate() {
             let Kind::List { count, item } = property.kind else {
-                source.skip_property(property.kind).map_err(|fault| row_error(element, row, source, &fault))?;
+                source.skip_property(property.kind).map_err(|fault| row_error(element, row, source, fault))?;
                 continue;
             };
             if k != corners {
-                source.skip_property(property.kind).map_err(|fault| row_error(element, row, source, &fault))?;
+                source.skip_property(property.kind).map_err(|fault| row_error(element, row, source, fault))?;
                 continue;
             }
-            let len = source.list_len(count, item).map_err(|fault| row_error(element, row, source, &fault))?;
-            let (mut before, mut last, mut in_strip) = (0, 0, 0_u64);
+            let len = source.list_len(count, item).map_err(|fault| row_error(element, row, source, fault))?;
+            let mut strip = Strip::new();
             for _ in 0..len {
-                let index = source.integer(item).map_err(|fault| row_error(element, row, source, &fault))?;
+                let index = source.integer(item).map_err(|fault| row_error(element, row, source, fault))?;
                 if index == -1 || index == i64::from(u32::MAX) {
-                    in_strip = 0;
+                    strip = Strip::new();
                     continue;
                 }
-                let corner = match u32::try_from(index) {
-                    Ok(corner) if u64::from(corner) < vertices => corner,
+                match u32::try_from(index) {
+                    Ok(corner) if u64::from(corner) < vertices => strip.push(corner, &mut build.sink)?,
                     _ => return Err(out_of_range(row, index, vertices, source)),
-                };
-                let is_triangle = before != last && last != corner && corner != before;
-                match in_strip {
-                    0 | 1 => {}
-                    _ if !is_triangle => {}
-                    n if n % 2 == 0 => push_face(&mut build.mesh.faces, [before, last, corner])?,
-                    _ => push_face(&mut build.mesh.faces, [last, before, corner])?,
                 }
-                (before, last) = (last, corner);
-                in_strip += 1;
             }
         }
     }
@@ -292,29 +378,20 @@ fn read_strips<S: Source>(
     Ok(())
 }
 
-fn skip_element<S: Source>(element: &Element, source: &mut S, build: &mut Build) -> Result<(), ReadError> {
+fn skip_element<S: Source>(element: &Element, source: &mut S, build: &mut Build<'_>) -> Result<(), ReadError> {
     // Without properties the rows take no bytes, and their number is bounded by nothing: pass over them at once.
     if !element.properties.is_empty() && element.rows > 0 {
         build.not_carried.push(format!("element {} ({} rows)", shortened(&element.name), element.rows));
         for row in 0..element.rows {
             for property in &element.properties {
-                source.skip_property(property.kind).map_err(|fault| row_error(element, row, source, &fault))?;
+                source.skip_property(property.kind).map_err(|fault| row_error(element, row, source, fault))?;
             }
         }
     }
     Ok(())
 }
 
-impl Build {
-    /// Reserves room for the triangles of `element`, no more than the bytes that are left can describe.
-    fn reserve_faces<S: Source>(&mut self, element: &Element, corners: usize, source: &S) {
-        let Kind::List { count, item } = element.properties[corners].kind else { return };
-        let row_bytes = source.min_bytes(count, 1) + source.min_bytes(item, 3);
-        let most = source.left() as u128 / row_bytes.max(1);
-        let rows = u128::from(element.rows).min(most);
-        self.mesh.faces.reserve(usize::try_from(rows).expect("at most the length of the file"));
-    }
-
+impl Build<'_> {
     fn note_properties(&mut self, element: &Element, others: impl Iterator<Item = usize>) {
         const SHOWN: usize = 12;
         let names: Vec<String> = others.map(|k| shortened(&element.properties[k].name)).collect();
@@ -349,7 +426,10 @@ fn channel(scalar: Scalar, value: f64) -> u8 {
 }
 
 #[cold]
-fn row_error<S: Source>(element: &Element, index: u64, source: &S, fault: &Fault) -> ReadError {
+fn row_error<S: Source>(element: &Element, index: u64, source: &S, fault: Fault) -> ReadError {
+    if let Fault::Read(error) = fault {
+        return *error;
+    }
     let element = shortened(&element.name);
     ReadError::Row { element, index, place: source.place(), problem: fault.to_string() }
 }

@@ -93,8 +93,8 @@ pub(super) struct Header {
 }
 
 impl Header {
-    /// Reads the header. Cost is linear in its length.
-    pub(super) fn parse(bytes: &[u8]) -> Result<Self, ReadError> {
+    /// Reads the header from the first bytes of the file, all of them if `is_all`. Cost is linear in its length.
+    pub(super) fn parse(bytes: &[u8], is_all: bool) -> Result<Self, ReadError> {
         // Lines end as the first one does: a lone carriage return would otherwise swallow a line feed that is the
         // first byte of a binary body.
         let first_end = bytes.iter().position(|&b| b == b'\n' || b == b'\r').unwrap_or(bytes.len());
@@ -111,7 +111,8 @@ impl Header {
         let mut rest = bytes;
         for line in 1.. {
             let Some(end) = rest.iter().position(|&b| b == terminator) else {
-                return Err(error(line, "the file ends before `end_header`"));
+                let problem = if is_all { "the file ends before `end_header`" } else { "the header is too long" };
+                return Err(error(line, problem));
             };
             let text = &rest[..end];
             rest = &rest[end + 1..];

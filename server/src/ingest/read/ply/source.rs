@@ -1,7 +1,8 @@
 //! Where the rows of a PLY file come from: tokens of text or bytes of either order, behind one interface.
 
-use super::super::number::{line_at, parse_f64, parse_i64};
-use super::super::{Place, quoted};
+use super::super::input::Input;
+use super::super::number::{parse_f64, parse_i64};
+use super::super::{Place, ReadError, quoted};
 use super::header::{Element, Kind, Scalar};
 
 /// Why a value could not be read. Turned into an error with its row and place by the caller.
@@ -15,6 +16,15 @@ pub(super) enum Fault {
     NegativeCount(i64),
     /// A list that is longer than the rest of the file.
     ListTooLong(u64),
+    /// The file cannot be read, whatever it holds.
+    Read(Box<ReadError>),
+}
+
+impl From<ReadError> for Fault {
+    #[cold]
+    fn from(error: ReadError) -> Self {
+        Self::Read(Box::new(error))
+    }
 }
 
 impl std::fmt::Display for Fault {
@@ -24,6 +34,7 @@ impl std::fmt::Display for Fault {
             Self::NotANumber(token) => write!(f, "{token} is not a number of the property's type"),
             Self::NegativeCount(count) => write!(f, "a list of {count} items"),
             Self::ListTooLong(count) => write!(f, "a list of {count} items is longer than the rest of the file"),
+            Self::Read(error) => write!(f, "{error}"),
         }
     }
 }
@@ -41,18 +52,38 @@ pub(super) trait Source {
     /// Least bytes that all rows of `element` take from here on.
     fn min_element_bytes(&self, element: &Element) -> u128;
     /// Bytes that are left.
-    fn left(&self) -> usize;
-    /// Where the value asked for last starts. Linear in the length of a text file: for errors only.
+    fn left(&self) -> u64;
+    /// Where the value asked for last starts: for errors only.
     fn place(&self) -> Place;
     /// Whether values follow the last row.
-    fn has_more(&mut self) -> bool;
+    fn has_more(&mut self) -> Result<bool, ReadError>;
+
+    /// Passes over the rows of `row_bytes` each that are at hand, up to `most` of them, and gives their bytes: none where
+    /// [`Source::HAS_FIXED_ROWS`] does not hold or the file ends before the next row does.
+    fn fixed_rows(&mut self, _row_bytes: usize, _most: u64) -> Result<&[u8], ReadError> {
+        Ok(&[])
+    }
+
+    /// Whether rows of a fixed number of little-endian bytes can be had at once.
+    const HAS_FIXED_ROWS: bool = false;
+
+    /// Passes over the rows at hand that are a byte of 3 and three indices below `vertices` of four bytes, calls `take` with
+    /// each and says how many they were: none where [`Source::HAS_FIXED_ROWS`] does not hold.
+    fn triangles(
+        &mut self,
+        _most: u64,
+        _vertices: u64,
+        _take: impl FnMut([u32; 3]) -> Result<(), ReadError>,
+    ) -> Result<u64, ReadError> {
+        Ok(0)
+    }
 
     /// Reads the count of a list and checks it against the bytes that are left.
     #[inline]
     fn list_len(&mut self, count: Scalar, item: Scalar) -> Result<u64, Fault> {
         let written = self.integer(count)?;
         let len = u64::try_from(written).map_err(|_| Fault::NegativeCount(written))?;
-        if self.min_bytes(item, len) > self.left() as u128 {
+        if self.min_bytes(item, len) > u128::from(self.left()) {
             return Err(Fault::ListTooLong(len));
         }
         Ok(len)
@@ -72,37 +103,71 @@ pub(super) trait Source {
 }
 
 /// Text: numbers between white space. Line breaks carry no meaning, as in most readers.
-pub(super) struct Text<'a> {
-    bytes: &'a [u8],
-    at: usize,
-    /// Start of the token read last.
-    last: usize,
+pub(super) struct Text<'i, 'a> {
+    input: &'i mut Input<'a>,
+    /// Offset in the file of the token read last.
+    last: u64,
 }
 
-impl<'a> Text<'a> {
-    pub(super) fn new(bytes: &'a [u8], at: usize) -> Self {
-        Self { bytes, at, last: at }
+impl<'i, 'a> Text<'i, 'a> {
+    pub(super) fn new(input: &'i mut Input<'a>) -> Self {
+        let last = input.position();
+        Self { input, last }
     }
 
-    #[inline]
-    fn skip_space(&mut self) {
-        while self.bytes.get(self.at).is_some_and(|&b| b <= b' ') {
-            self.at += 1;
+    fn skip_space(&mut self) -> Result<(), ReadError> {
+        loop {
+            let window = self.input.fill(1)?;
+            let space = window.iter().position(|&b| b > b' ');
+            let (step, done) = (space.unwrap_or(window.len()), space.is_some() || window.is_empty());
+            self.input.consume(step);
+            if done {
+                return Ok(());
+            }
         }
     }
 
     #[inline]
-    fn token(&mut self) -> Result<&'a [u8], Fault> {
-        self.skip_space();
-        self.last = self.at;
-        while self.bytes.get(self.at).is_some_and(|&b| b > b' ') {
-            self.at += 1;
+    fn token(&mut self) -> Result<&[u8], Fault> {
+        let window = self.input.window();
+        let start = window.iter().position(|&b| b > b' ').unwrap_or(window.len());
+        let len = window[start..].iter().position(|&b| b <= b' ');
+        let (start, len) = match len {
+            Some(len) => (start, len),
+            None => self.far_token()?,
+        };
+        self.last = self.input.position() + start as u64;
+        let token = start..start + len;
+        // The window of before, whose bytes stay where they are when they are consumed.
+        self.input.consume(token.end);
+        Ok(self.input.consumed(len))
+    }
+
+    /// A token that does not end in the window: where it starts in the window, and its length.
+    #[cold]
+    fn far_token(&mut self) -> Result<(usize, usize), Fault> {
+        self.skip_space()?;
+        self.last = self.input.position();
+        let mut known = 0;
+        loop {
+            let window = self.input.fill(known + 1)?;
+            if let Some(end) = window[known..].iter().position(|&b| b <= b' ') {
+                return Ok((0, known + end));
+            }
+            if window.len() == known {
+                // The file ends, or nothing more fits the buffer.
+                return match (known, self.input.left() == known as u64) {
+                    (0, _) => Err(Fault::End),
+                    (_, true) => Ok((0, known)),
+                    (_, false) => Err(Fault::NotANumber(quoted(self.input.window()))),
+                };
+            }
+            known = window.len();
         }
-        if self.last == self.at { Err(Fault::End) } else { Ok(&self.bytes[self.last..self.at]) }
     }
 }
 
-impl Source for Text<'_> {
+impl Source for Text<'_, '_> {
     #[inline]
     fn scalar(&mut self, _: Scalar) -> Result<f64, Fault> {
         let token = self.token()?;
@@ -138,39 +203,39 @@ impl Source for Text<'_> {
         (u128::from(element.rows) * element.properties.len() as u128 * 2).saturating_sub(1)
     }
 
-    fn left(&self) -> usize {
-        self.bytes.len() - self.at
+    fn left(&self) -> u64 {
+        self.input.left()
     }
 
     fn place(&self) -> Place {
-        Place::Line(line_at(self.bytes, self.last))
+        Place::Line(self.input.line_at(self.last))
     }
 
-    fn has_more(&mut self) -> bool {
-        self.skip_space();
-        self.left() > 0
+    fn has_more(&mut self) -> Result<bool, ReadError> {
+        self.skip_space()?;
+        Ok(self.left() > 0)
     }
 }
 
 /// Bytes, most significant first if `BIG`.
-pub(super) struct Binary<'a, const BIG: bool> {
-    bytes: &'a [u8],
-    at: usize,
-    /// Start of the value read last.
-    last: usize,
+pub(super) struct Binary<'i, 'a, const BIG: bool> {
+    input: &'i mut Input<'a>,
+    /// Offset in the file of the value read last.
+    last: u64,
 }
 
-impl<'a, const BIG: bool> Binary<'a, BIG> {
-    pub(super) fn new(bytes: &'a [u8], at: usize) -> Self {
-        Self { bytes, at, last: at }
+impl<'i, 'a, const BIG: bool> Binary<'i, 'a, BIG> {
+    pub(super) fn new(input: &'i mut Input<'a>) -> Self {
+        let last = input.position();
+        Self { input, last }
     }
 
     #[inline]
     fn take<const N: usize>(&mut self) -> Result<[u8; N], Fault> {
-        self.last = self.at;
-        let taken = self.bytes[self.at..].first_chunk::<N>().ok_or(Fault::End)?;
-        self.at += N;
+        self.last = self.input.position();
+        let taken = self.input.fill(N)?.first_chunk::<N>().ok_or(Fault::End)?;
         let mut value = *taken;
+        self.input.consume(N);
         if BIG {
             value.reverse();
         }
@@ -178,7 +243,7 @@ impl<'a, const BIG: bool> Binary<'a, BIG> {
     }
 }
 
-impl<const BIG: bool> Source for Binary<'_, BIG> {
+impl<const BIG: bool> Source for Binary<'_, '_, BIG> {
     #[inline]
     fn scalar(&mut self, kind: Scalar) -> Result<f64, Fault> {
         Ok(match kind {
@@ -210,13 +275,12 @@ impl<const BIG: bool> Source for Binary<'_, BIG> {
 
     #[inline]
     fn skip(&mut self, kind: Scalar, count: u64) -> Result<(), Fault> {
-        self.last = self.at;
-        let bytes = usize::try_from(self.min_bytes(kind, count)).map_err(|_| Fault::End)?;
-        if bytes > self.left() {
+        self.last = self.input.position();
+        let bytes = u64::try_from(self.min_bytes(kind, count)).map_err(|_| Fault::End)?;
+        if bytes > self.input.left() {
             return Err(Fault::End);
         }
-        self.at += bytes;
-        Ok(())
+        Ok(self.input.skip(bytes)?)
     }
 
     #[inline]
@@ -229,15 +293,52 @@ impl<const BIG: bool> Source for Binary<'_, BIG> {
     }
 
     #[inline]
-    fn left(&self) -> usize {
-        self.bytes.len() - self.at
+    fn left(&self) -> u64 {
+        self.input.left()
     }
 
     fn place(&self) -> Place {
-        Place::Byte(self.last as u64)
+        Place::Byte(self.last)
     }
 
-    fn has_more(&mut self) -> bool {
-        self.left() > 0
+    fn has_more(&mut self) -> Result<bool, ReadError> {
+        Ok(self.left() > 0)
+    }
+
+    const HAS_FIXED_ROWS: bool = !BIG;
+
+    fn fixed_rows(&mut self, row_bytes: usize, most: u64) -> Result<&[u8], ReadError> {
+        let rows = self.input.fill(row_bytes)?.len() / row_bytes.max(1);
+        let bytes = rows.min(usize::try_from(most).unwrap_or(usize::MAX)) * row_bytes;
+        self.input.consume(bytes);
+        Ok(self.input.consumed(bytes))
+    }
+
+    fn triangles(
+        &mut self,
+        most: u64,
+        vertices: u64,
+        mut take: impl FnMut([u32; 3]) -> Result<(), ReadError>,
+    ) -> Result<u64, ReadError> {
+        const ROW: usize = 1 + 3 * 4;
+        if BIG {
+            return Ok(0);
+        }
+        let window = self.input.fill(ROW)?;
+        let most = usize::try_from(most).unwrap_or(usize::MAX);
+        let mut rows = 0;
+        for row in window.as_chunks::<ROW>().0.iter().take(most) {
+            let [count, corners @ ..] = row;
+            let corners = corners.as_chunks::<4>().0;
+            let face: [u32; 3] = std::array::from_fn(|k| u32::from_le_bytes(corners[k]));
+            let is_plain = *count == 3 && face.iter().all(|&corner| u64::from(corner) < vertices);
+            if !is_plain {
+                break;
+            }
+            take(face)?;
+            rows += 1;
+        }
+        self.input.consume(rows * ROW);
+        Ok(rows as u64)
     }
 }

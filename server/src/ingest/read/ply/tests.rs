@@ -1,3 +1,4 @@
+use super::super::read_ply;
 use super::*;
 use crate::ingest::read::Place;
 
@@ -71,7 +72,7 @@ fn all_encodings_types_and_orders_give_the_same_mesh() {
                 "element camera (2 rows)",
                 "vertex properties weights",
                 "face properties flags, texcoord",
-                "texture skin.png (textures are not baked yet)"
+                "texture skin.png (textures of PLY files are not baked)"
             ]
         );
     }
@@ -219,4 +220,50 @@ fn headers_that_make_no_sense_are_refused() {
         &text(&format!("element vertex 1\n{XYZ}"), "0 0 0"),
         "the file holds no faces (it has 1 vertices; point clouds cannot be ingested)",
     );
+}
+
+#[test]
+fn buffers_of_any_size_give_the_same_mesh_and_the_same_errors() {
+    use super::super::tests::drip;
+    let read = |bytes: &[u8], buffer: usize| {
+        let workspace = crate::ingest::spill::Workspace::in_memory();
+        let mut input = Input::with_buffer(drip(bytes), bytes.len() as u64, buffer);
+        let (mesh, report) = read(&mut input, Sink::new(&workspace))?;
+        Ok::<_, ReadError>((mesh.load()?, report))
+    };
+    for format in ["ascii", "binary_little_endian", "binary_big_endian"] {
+        let whole = exotic(format);
+        let expected = read_ply(&whole).unwrap();
+        // The header has to fit, and nothing else.
+        let header = Header::parse(&whole, true).unwrap().body;
+        for buffer in header..header + 40 {
+            assert_eq!(read(&whole, buffer).unwrap(), expected);
+            for cut in [header + 10, header + 57, whole.len() - 9] {
+                let expected = read_ply(&whole[..cut]).unwrap_err().to_string();
+                assert_eq!(read(&whole[..cut], buffer).unwrap_err().to_string(), expected);
+            }
+        }
+    }
+}
+
+/// Faces that are read at once, and those around them that are not.
+#[test]
+fn plain_faces_and_others_may_be_mixed() {
+    let header = format!("element vertex 9\n{XYZ}element face 6\nproperty list uchar int vertex_indices\n");
+    let faces: [&[i32]; 6] = [&[0, 1, 2], &[3, 4, 5, 6], &[6, 7, 8], &[8], &[2, 1, 0], &[5, 4, 3]];
+    let mut bytes = text(&header, "");
+    let at = bytes.windows(5).position(|word| word == b"ascii").unwrap();
+    bytes.splice(at..at + 5, *b"binary_little_endian");
+    (0..27).for_each(|k| bytes.extend((k as f32 + 0.5).to_le_bytes()));
+    for face in faces {
+        bytes.push(face.len() as u8);
+        face.iter().for_each(|corner| bytes.extend(corner.to_le_bytes()));
+    }
+    let (mesh, report) = read_ply(&bytes).unwrap();
+    assert_eq!(mesh.positions[8], [24.5, 25.5, 26.5]);
+    assert_eq!(mesh.faces, [[0, 1, 2], [3, 4, 5], [3, 5, 6], [6, 7, 8], [2, 1, 0], [5, 4, 3]]);
+    assert_eq!((report.faces, report.not_carried), (6, vec!["1 faces with fewer than three corners".to_owned()]));
+    let at = bytes.len() - 4;
+    bytes[at..].copy_from_slice(&9_i32.to_le_bytes());
+    check_error(&bytes, &format!("face 5 at byte {at} names vertex 9, but the file has 9 vertices"));
 }
