@@ -47,10 +47,12 @@ pub fn client_bin() -> PathBuf {
 }
 
 fn beside_the_test(name: &str) -> PathBuf {
-    // A test lies in `target/<profile>/deps`.
-    let test = std::env::current_exe().expect("the system knows which program this is");
-    let folder = test.parent().and_then(Path::parent).expect("tests lie two folders below target");
-    folder.join(format!("{name}{}", std::env::consts::EXE_SUFFIX))
+    let name = format!("{name}{}", std::env::consts::EXE_SUFFIX);
+    // A test lies in `target/<profile>/deps`, a binary of this crate beside those of the others.
+    let own = std::env::current_exe().expect("the system knows which program this is");
+    let folder = own.parent().expect("a program lies in a folder");
+    let above = folder.parent().expect("tests lie two folders below target");
+    if folder.ends_with("deps") { above.join(name) } else { folder.join(name) }
 }
 
 fn built(path: PathBuf) -> PathBuf {

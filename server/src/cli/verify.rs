@@ -55,7 +55,7 @@ pub fn run(args: VerifyArgs) -> anyhow::Result<()> {
     }
     drop(progress);
     if args.json {
-        let mut line = serde_json::to_value(&report)?;
+        let mut line = serde_json::to_value(report)?;
         line["calibration"] = serde_json::to_value(&calibration)?;
         println!("{line}");
         return Ok(());

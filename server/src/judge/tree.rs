@@ -199,7 +199,7 @@ impl TriangleTree {
 
 #[inline]
 fn range(count: usize, k: usize, level: u32) -> std::ops::Range<usize> {
-    count * k >> level..count * (k + 1) >> level
+    (count * k) >> level..(count * (k + 1)) >> level
 }
 
 /// Puts the items of node `k` of `level`, which begin at `offset`, in the tree's order. At most `levels` deep.

@@ -1,7 +1,7 @@
 //! First figures for the targets, on mesh files: `figures FILE... [--bits N] [--views N]`. One JSON object per line.
 //!
 //! Both ends run in this process, so that their time can be told apart; bytes are those of frames, without WebSocket
-//! headers (2 to 4 bytes a frame) and the HTTP upgrade (some 330 bytes).
+//! headers (2 to 4 bytes a frame) and the HTTP upgrade (some 330 bytes). Row 5, which counts them, is printed by `row5`.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -13,10 +13,10 @@ use lodestream_protocol::mesh::Replica;
 use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
 use lodestream_server::ingest::read::read_mesh_in_memory;
+use lodestream_server::judge::calibration::{CalibrationOptions, calibrate};
 use lodestream_server::session::score::Scorer;
 use lodestream_server::session::{Session, SessionConfig};
 use lodestream_tests::model::TestModel;
-use lodestream_tests::screen_error::{TriangleTree, screen_error};
 use serde_json::json;
 
 fn main() -> anyhow::Result<()> {
@@ -34,8 +34,7 @@ fn main() -> anyhow::Result<()> {
         throughput(&test, &line);
         let subject = Subject::new(&test);
         subject.closures(&test, views, &line);
-        subject.random_views(&test, views, &line);
-        subject.bytes_to_one_pixel(&test, &line);
+        calibration(&test, views, &line)?;
     }
     Ok(())
 }
@@ -114,27 +113,17 @@ fn throughput(test: &TestModel, line: &impl Fn(&str, f64, &str)) {
     line("16 client, decode + apply", median(runs.iter().map(|r| r.1).collect()), "splits/s");
 }
 
-/// The original in model units.
+/// Where the model lies.
 struct Subject {
-    positions: Vec<DVec3>,
-    normals: Vec<DVec3>,
     center: DVec3,
     radius: f64,
 }
 
 impl Subject {
     fn new(test: &TestModel) -> Self {
-        let lattice = test.model.info().lattice;
-        let positions: Vec<DVec3> =
-            test.clean.positions.iter().map(|&p| DVec3::from_array(lattice.position(lattice.quantize(p)))).collect();
-        let mut normals = vec![DVec3::ZERO; positions.len()];
-        for face in &test.clean.faces {
-            let [a, b, c] = face.map(|v| positions[v as usize]);
-            face.iter().for_each(|&v| normals[v as usize] += (b - a).cross(c - a));
-        }
         let (lo, hi) = test.clean.bounding_box().expect("the mesh has vertices");
         let (lo, hi) = (DVec3::from_array(lo), DVec3::from_array(hi));
-        Self { positions, normals, center: (lo + hi) / 2.0, radius: (hi - lo).length() / 2.0 }
+        Self { center: (lo + hi) / 2.0, radius: (hi - lo).length() / 2.0 }
     }
 
     fn view(&self, direction: DVec3, distance: f64) -> View {
@@ -149,12 +138,6 @@ impl Subject {
         let mut view = self.view(direction, self.radius * (0.95 + 2.5 * rng.f64()));
         view.tolerance_px = 1.0;
         view
-    }
-
-    fn tree(&self, test: &TestModel, replica: &Replica) -> TriangleTree {
-        let lattice = test.model.info().lattice;
-        let at = |v: u32| DVec3::from_array(lattice.position(replica.positions()[v as usize]));
-        TriangleTree::new(replica.corners().iter().filter(|c| **c != [0; 3]).map(|c| c.map(at)).collect())
     }
 
     /// Row 6: P* against the ops wanted for their own sake, which the vertex forest alone would need.
@@ -176,51 +159,16 @@ impl Subject {
         ratios.sort_by(f64::total_cmp);
         line("6 ops against the vertex-tree minimum, median", ratios[ratios.len() / 2], "ratio");
     }
+}
 
-    /// Row 22: the real error at tolerance 1 over random views; one client flies through all of them.
-    fn random_views(&self, test: &TestModel, views: usize, line: &impl Fn(&str, f64, &str)) {
-        let mut rng = Rng::with_seed(22);
-        let mut pair = Timed::new(test);
-        let (mut p999, mut max) = (Vec::new(), 0f64);
-        for _ in 0..views {
-            let view = self.random_view(&mut rng);
-            pair.settle(view.clone());
-            let error = screen_error(&self.positions, &self.normals, &self.tree(test, pair.replica()), &view);
-            p999.push(error.p999);
-            max = max.max(error.max);
-        }
-        p999.sort_by(f64::total_cmp);
-        line("22 screen error at 1 px, p99.9, median of views", p999[p999.len() / 2], "px");
-        line("22 screen error at 1 px, p99.9, worst view", p999[p999.len() - 1], "px");
-        line("22 screen error at 1 px, maximum", max, "px");
+/// Row 22: the real error over random views in units of the tolerance, as `lodestream-server verify --views` prints it.
+fn calibration(test: &TestModel, views: usize, line: &impl Fn(&str, f64, &str)) -> anyhow::Result<()> {
+    let options = CalibrationOptions { views: views as u64, seed: 1, tolerance_px: None };
+    let found = calibrate(&test.model, &options, &mut |_| {})?;
+    line("22 screen error, p99.9", found.error.p999, "tolerances");
+    line("22 screen error, maximum", found.error.max, "tolerances");
+    if let Some(color) = found.color {
+        line("22 colour difference, mean", color.mean, "of full scale");
     }
-
-    /// Row 5: frame bytes from cold until the real error (p99.9 of front-facing vertices) is at most 1 px, mean of azimuths
-    /// 0, 60, ..., 300, with the largest tolerance of a ladder that reaches it.
-    fn bytes_to_one_pixel(&self, test: &TestModel, line: &impl Fn(&str, f64, &str)) {
-        let whole = self.radius / (22.5f64.to_radians()).sin();
-        for (name, distance) in
-            [("5 bytes to 1 px, whole object", whole), ("5 bytes to 1 px, close", 0.95 * self.radius)]
-        {
-            let (mut total, mut tolerances) = (0.0, 0.0);
-            for step in 0..6 {
-                let angle = f64::from(step * 60).to_radians();
-                let mut view = self.view(DVec3::new(angle.sin(), 0.0, angle.cos()), distance);
-                for tolerance in [2.0, 1.7, 1.5, 1.3, 1.15, 1.0, 0.85, 0.7, 0.5, 0.35, 0.25, 0.1, 0.0] {
-                    view.tolerance_px = tolerance;
-                    let mut pair = Timed::new(test);
-                    pair.settle(view.clone());
-                    let tree = self.tree(test, pair.replica());
-                    let error = screen_error(&self.positions, &self.normals, &tree, &view);
-                    if error.p999 <= 1.0 || tolerance == 0.0 {
-                        total += pair.bytes as f64;
-                        tolerances += f64::from(tolerance);
-                        break;
-                    }
-                }
-            }
-            line(name, total / 6.0, "bytes");
-            line(&format!("{name}, tolerance"), tolerances / 6.0, "px");
-        }
-    }
+    Ok(())
 }

@@ -1,0 +1,150 @@
+//! Row 5 of the targets with the real binaries: `row5 FILE... [--bits N]`. One JSON object per mesh, distance and azimuth, and
+//! one for the mean of the azimuths.
+//!
+//! Each case ingests with `lodestream-server`, serves, and halves the interval of `lodestream snapshot --until bytes:N
+//! --export` down to 2 %, until the real screen error (p99.9 of unoccluded vertices at 1920x1080, 45 degrees) is at most one
+//! pixel. The last mesh is judged once more by `lodestream-server screen-error`. Build first: `cargo build --release
+//! --workspace --bins`.
+
+use std::ffi::OsStr;
+use std::path::Path;
+
+use anyhow::{Context as _, ensure};
+use glam::DVec3;
+use lodestream_protocol::view::View;
+use lodestream_server::ingest::read::read_mesh_in_memory;
+use lodestream_server::judge::original::{Original, Shown};
+use lodestream_server::judge::screen_error::{Candidate, Percentiles, findings};
+use lodestream_server::pack::{PackedModel, extract_complete};
+use lodestream_tests::server_process::{ServerProcess, TempDir, described, server, snapshot};
+use serde_json::{Value, json};
+
+/// Tolerance asked for: low, so that ops come by priority until the bytes run out.
+const TOLERANCE_PX: &str = "0.25";
+/// The interval of bytes is halved until it is this share of its end.
+const PRECISION: f64 = 0.02;
+
+fn main() -> anyhow::Result<()> {
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    let bits = args.iter().position(|a| a == "--bits").and_then(|i| args.get(i + 1)).map_or("14", String::as_str);
+    for file in args.iter().take_while(|a| !a.starts_with("--")) {
+        measure(Path::new(file), bits)?;
+    }
+    Ok(())
+}
+
+fn measure(file: &Path, bits: &str) -> anyhow::Result<()> {
+    let folder = TempDir::new();
+    let repository = folder.join("repository");
+    let words = ["ingest", "--name", "model", "--bits", bits, "--repository"].map(OsStr::new);
+    let output = server(words.into_iter().chain([repository.as_os_str(), file.as_os_str()]));
+    ensure!(output.status.success(), "{}", described(&output));
+    let model = PackedModel::from_vec(std::fs::read(repository.join("model.lodepack"))?)?;
+    // Judged against what complete refinement gives, which is a file too, for the command.
+    let complete = folder.join("complete.ply");
+    let words = ["export", "model", "--repository"].map(OsStr::new);
+    let output = server(words.into_iter().chain([repository.as_os_str(), "--output".as_ref(), complete.as_os_str()]));
+    ensure!(output.status.success(), "{}", described(&output));
+    let original = Original::new(&extract_complete(&model)?);
+    let process = ServerProcess::start(&repository);
+    let case = file.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+    let whole = original.radius() / 22.5f64.to_radians().sin();
+    for (name, distance) in [("whole", whole), ("close", 0.95 * original.radius())] {
+        let mut total = 0.0;
+        for step in 0..6 {
+            let azimuth = step * 60;
+            let angle = f64::from(azimuth).to_radians();
+            let eye = original.center() + DVec3::new(angle.sin(), 0.0, angle.cos()) * distance;
+            let mut view = View::perspective(eye, original.center(), 45f32.to_radians());
+            view.near = original.radius() * 1e-3;
+            let shown = original.shown(&view).into_iter().filter(|s| s.is_unoccluded).collect();
+            let subject = Subject { process: &process, original: &original, view, shown, folder: &folder };
+            let (stats, error) = subject.fewest_bytes()?;
+            let again =
+                subject.command(&complete)?["unoccluded"]["p999"].as_f64().context("screen-error prints p999")?;
+            ensure!((again - error.p999).abs() < 1e-3, "screen-error says {again}, not {}", error.p999);
+            let bytes = stats["bytes_received"].as_f64().context("--stats has bytes_received")?;
+            total += bytes;
+            let line = json!({"name": "5 bytes to 1 px", "case": format!("{case}/{name}/{azimuth}"), "value": bytes,
+                "unit": "bytes", "triangles": stats["triangles"], "p999_px": error.p999, "max_px": error.max});
+            println!("{line}");
+        }
+        let line = json!({"name": "5 bytes to 1 px, mean of azimuths", "case": format!("{case}/{name}"),
+            "value": total / 6.0, "unit": "bytes"});
+        println!("{line}");
+    }
+    Ok(())
+}
+
+struct Subject<'a> {
+    process: &'a ServerProcess,
+    original: &'a Original,
+    view: View,
+    shown: Vec<Shown>,
+    folder: &'a TempDir,
+}
+
+impl Subject<'_> {
+    /// Statistics and error of the run with the fewest bytes that reaches one pixel; its mesh is left as `mesh.ply`.
+    fn fewest_bytes(&self) -> anyhow::Result<(Value, Percentiles)> {
+        let (mut low, mut high) = (0u64, 16 << 10);
+        let mut best = loop {
+            let found = self.run(high)?;
+            if found.1.p999 <= 1.0 {
+                break found;
+            }
+            ensure!(found.0["settled"] != true, "one pixel is not reached: {:?}", found.1);
+            (low, high) = (high, 2 * high);
+        };
+        let mut best_at = high;
+        while (high - low) as f64 > PRECISION * high as f64 {
+            let middle = (low + high) / 2;
+            let found = self.run(middle)?;
+            if found.1.p999 <= 1.0 {
+                (best, best_at, high) = (found, middle, middle);
+            } else {
+                low = middle;
+            }
+        }
+        // The file holds what the last run left.
+        self.run(best_at)?;
+        Ok(best)
+    }
+
+    fn run(&self, bytes: u64) -> anyhow::Result<(Value, Percentiles)> {
+        let (eye, target) = self.pose();
+        let mesh = self.folder.join("mesh.ply");
+        let until = format!("bytes:{bytes}");
+        let words = ["--size", "1920x1080", "--fov", "45", "--triangles", "unlimited", "--json"];
+        let rest = ["--tolerance", TOLERANCE_PX, "--until", &until, "--eye", &eye, "--target", &target, "--export"];
+        let words = words.into_iter().chain(rest).map(OsStr::new);
+        let output = snapshot(&self.process.url("model"), words.chain([mesh.as_os_str()]));
+        if !output.status.success() {
+            // Too few bytes for any mesh.
+            let never = Percentiles { p999: f64::INFINITY, max: f64::INFINITY, ..Percentiles::default() };
+            ensure!(bytes < 16 << 10, "{}", described(&output));
+            return Ok((Value::Null, never));
+        }
+        let stats = serde_json::from_slice(&output.stdout).context("--json prints JSON")?;
+        let candidate = Candidate::new(&read_mesh_in_memory(&mesh)?.0);
+        let found = findings(self.original, &self.shown, &candidate, &self.view);
+        Ok((stats, Percentiles::of(&mut found.iter().map(|f| f.pixels).collect::<Vec<_>>())))
+    }
+
+    fn pose(&self) -> (String, String) {
+        let text = |[x, y, z]: [f64; 3]| format!("{x:?},{y:?},{z:?}");
+        (text(self.view.eye), text(self.original.center().to_array()))
+    }
+
+    /// What `screen-error` says about the mesh of the last run.
+    fn command(&self, complete: &Path) -> anyhow::Result<Value> {
+        let (eye, target) = self.pose();
+        let mesh = self.folder.join("mesh.ply");
+        let words =
+            ["--size", "1920x1080", "--fov", "45", "--json", "--eye", &eye, "--target", &target].map(OsStr::new);
+        let files = ["screen-error".as_ref(), complete.as_os_str(), mesh.as_os_str()];
+        let output = server(files.into_iter().chain(words));
+        ensure!(output.status.success(), "{}", described(&output));
+        serde_json::from_slice(&output.stdout).context("--json prints JSON")
+    }
+}
