@@ -9,11 +9,11 @@ use lodestream_client::core::{ClientConfig, ClientSession};
 use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
 use lodestream_protocol::wire;
-use lodestream_server::ingest::ingest;
+use lodestream_server::ingest::ingest_to_vec;
 use lodestream_server::ingest::read::{read_obj, read_ply};
 use lodestream_server::ingest::simplify::BuildOptions;
 use lodestream_server::mesh::export::{PlyOptions, write_obj, write_ply};
-use lodestream_server::pack::{self, Metadata, PackedModel, write_to_vec};
+use lodestream_server::pack::{self, Metadata, PackedModel};
 use lodestream_server::session::{Session, SessionConfig};
 
 use crate::meshes;
@@ -158,8 +158,8 @@ fn server_case(rng: &mut Rng, models: &[Arc<PackedModel>; 2], sessions: &[Vec<Ve
 
 fn small_pack() -> Vec<u8> {
     let options = BuildOptions { bits: Some(10), ..BuildOptions::default() };
-    let done = ingest(meshes::many_components(6, 3), &options, &mut |_| {}).expect("the mesh can be built");
-    write_to_vec(&done.dag, &done.complete, &Metadata::default()).expect("the model fits a pack")
+    let mesh = meshes::many_components(6, 3);
+    ingest_to_vec(&mesh, &options, &Metadata::default()).expect("the mesh can be built").0
 }
 
 fn pack_case(rng: &mut Rng, bytes: &[u8]) {

@@ -3,9 +3,10 @@
 use std::sync::Arc;
 
 use lodestream_server::ingest::clean::clean;
-use lodestream_server::ingest::simplify::{BuildOptions, build};
+use lodestream_server::ingest::ingest_to_vec;
+use lodestream_server::ingest::simplify::BuildOptions;
 use lodestream_server::mesh::TriMesh;
-use lodestream_server::pack::{CompleteMesh, Metadata, PackedModel, write_to_vec};
+use lodestream_server::pack::{Metadata, PackedModel};
 
 /// A model and the mesh that it must refine to.
 #[derive(Debug)]
@@ -34,11 +35,8 @@ impl TestModel {
 
     /// Cleans and builds `mesh`.
     pub fn with_options(mesh: TriMesh, options: &BuildOptions) -> Self {
+        let (bytes, ..) = ingest_to_vec(&mesh, options, &Metadata::default()).expect("the mesh can be built");
         let (clean, _) = clean(mesh);
-        let (dag, _) = build(&clean, options, &mut |_| {}).expect("the mesh is clean");
-        let positions: Vec<[i32; 3]> = clean.positions.iter().map(|&p| dag.lattice.quantize(p)).collect();
-        let complete = CompleteMesh::of(&positions, clean.colors.as_deref(), &clean.faces);
-        let bytes = write_to_vec(&dag, &complete, &Metadata::default()).expect("the model fits a pack");
         Self { model: Arc::new(PackedModel::from_vec(bytes).expect("a pack just written opens")), clean }
     }
 

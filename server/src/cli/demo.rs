@@ -4,11 +4,12 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use super::ingest::publish;
+use super::ingest::{Plan, publish};
 use super::progress::ProgressLine;
 use super::sample::sample_size;
 use super::serve::{self, ServeArgs};
 use crate::ingest::DEFAULT_CREASE_ANGLE_DEG;
+use crate::ingest::raw::RawMesh;
 use crate::ingest::sample::generate;
 use crate::ingest::simplify::BuildOptions;
 use crate::pack::Metadata;
@@ -39,7 +40,7 @@ pub fn run(args: DemoArgs) -> anyhow::Result<()> {
     let id: ModelId = format!("fossils-{size}").parse().expect("the name above is a valid id");
     if repository.get(&id).is_err() {
         let started = Instant::now();
-        let mut progress = ProgressLine::new(true);
+        let progress = ProgressLine::new(true);
         eprintln!("making a sample scan of about {size} triangles (once; kept in {})", directory.display());
         progress.show("sculpt", 0, None);
         let mesh = generate(size, 1);
@@ -50,7 +51,11 @@ pub fn run(args: DemoArgs) -> anyhow::Result<()> {
             crease_angle_deg: DEFAULT_CREASE_ANGLE_DEG,
             ..Metadata::default()
         };
-        publish(&repository, &id, mesh, metadata, &BuildOptions::default(), &mut progress)?;
+        let plan = Plan::default();
+        let workspace = plan.workspace(&repository);
+        let raw = RawMesh::of(&mesh, &workspace)?;
+        drop(mesh);
+        publish(&repository, &id, raw, metadata, &BuildOptions::default(), (&plan, &workspace), &progress)?;
         drop(progress);
         eprintln!("the model `{id}` is ready after {:.0} s", started.elapsed().as_secs_f64());
     }

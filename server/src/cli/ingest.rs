@@ -9,11 +9,14 @@ use lodestream_protocol::quant::{MAX_LATTICE_BITS, MIN_LATTICE_BITS};
 use super::UsageError;
 use super::choice::{Choice, parse};
 use super::progress::ProgressLine;
+use super::usage::Usage;
+use crate::ingest::raw::RawMesh;
 use crate::ingest::read::read_mesh;
-use crate::ingest::simplify::{BuildOptions, BuildStage, PlacementChoice, Progress};
+use crate::ingest::report::{BuildReport, Progress, Stage};
+use crate::ingest::simplify::{BuildOptions, PlacementChoice};
+use crate::ingest::spill::Workspace;
 use crate::ingest::{DEFAULT_CREASE_ANGLE_DEG, ingest};
-use crate::mesh::TriMesh;
-use crate::pack::{self, Metadata};
+use crate::pack::Metadata;
 use crate::repository::{ModelId, Repository};
 
 /// Turn mesh files into models of a repository.
@@ -49,6 +52,15 @@ pub struct IngestArgs {
     /// Bits per coordinate [default: by the length of the mesh's edges].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(BITS))]
     pub bits: Option<u8>,
+    /// Join vertices that are at most this far apart, in model units. Vertices at one place are always joined.
+    #[arg(long, value_name = "DISTANCE", default_value_t = 0.0, value_parser = distance)]
+    pub weld_tolerance: f64,
+    /// Threads to work with [default: one per core].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    pub threads: Option<u32>,
+    /// Memory to stay under, such as 900MB or 2GiB; what does not fit goes to temporary files beside the models.
+    #[arg(long, value_name = "SIZE", default_value = "4GiB", value_parser = byte_size)]
+    pub memory_limit: u64,
     /// Name of the model for people.
     #[arg(long, default_value = "", hide_default_value = true)]
     pub title: String,
@@ -74,9 +86,11 @@ pub fn run(args: IngestArgs) -> anyhow::Result<()> {
         .map(|(file, id)| id.parse().map_err(|error| UsageError(format!("{}: {error}; use --name", file.display()))))
         .collect::<Result<_, _>>()?;
     let repository = Repository::open_or_create(&args.repository)?;
+    let plan = Plan::new(args.threads, args.memory_limit);
     for ((file, _), id) in models.iter().zip(&ids) {
         let started = Instant::now();
-        let mut progress = ProgressLine::new(!args.json);
+        let progress = ProgressLine::new(!args.json);
+        let workspace = plan.workspace(&repository);
         progress.show("read", 0, None);
         let (mesh, read) = read_mesh(file).with_context(|| format!("cannot ingest {}", file.display()))?;
         let metadata = Metadata {
@@ -87,8 +101,11 @@ pub fn run(args: IngestArgs) -> anyhow::Result<()> {
             read_report: serde_json::to_value(&read)?,
             ..Metadata::default()
         };
-        let options = BuildOptions { bits: args.bits, placement: args.placement.into() };
-        let report = publish(&repository, id, mesh, metadata, &options, &mut progress)
+        let options =
+            BuildOptions { bits: args.bits, placement: args.placement.into(), weld_tolerance: args.weld_tolerance };
+        let raw = RawMesh::of(&mesh, &workspace)?;
+        drop(mesh);
+        let report = publish(&repository, id, raw, metadata, &options, (&plan, &workspace), &progress)
             .with_context(|| format!("cannot ingest {}", file.display()))?;
         drop(progress);
         report.print(file, started.elapsed(), &read.not_carried, args.json)?;
@@ -96,12 +113,92 @@ pub fn run(args: IngestArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// How many threads work and how much memory they may use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Plan {
+    pub(super) threads: u32,
+    memory_limit: u64,
+}
+
+impl Default for Plan {
+    fn default() -> Self {
+        Self::new(None, DEFAULT_MEMORY_LIMIT)
+    }
+}
+
+const DEFAULT_MEMORY_LIMIT: u64 = 4 << 30;
+/// What is held whatever the model and the number of threads, beside what spills keep.
+const FIXED_MEMORY: u64 = 160 << 20;
+/// What a thread needs to simplify one chunk.
+const MEMORY_PER_THREAD: u64 = 100 << 20;
+/// Most that is held per vertex of the input.
+const MEMORY_PER_VERTEX: u64 = 16;
+
+impl Plan {
+    /// As many threads as there are cores, or as wanted, as far as memory goes.
+    fn new(threads: Option<u32>, memory_limit: u64) -> Self {
+        let cores = || std::thread::available_parallelism().map_or(1, |n| u32::try_from(n.get()).unwrap_or(u32::MAX));
+        let room = memory_limit.saturating_sub(FIXED_MEMORY) / MEMORY_PER_THREAD;
+        let threads = threads.unwrap_or_else(cores).min(u32::try_from(room).unwrap_or(u32::MAX)).max(1);
+        Self { threads, memory_limit }
+    }
+
+    /// Where temporary data go: into memory up to a sixty-fourth of the limit, then into the repository's directory.
+    pub(super) fn workspace(&self, repository: &Repository) -> Workspace {
+        Workspace::new(repository.directory(), self.memory_limit / 64)
+    }
+
+    /// Whether a model of so many vertices can be ingested within the limit.
+    ///
+    /// # Errors
+    /// States what it takes.
+    fn check(&self, vertices: u64) -> anyhow::Result<()> {
+        let needed = FIXED_MEMORY + MEMORY_PER_THREAD + self.memory_limit / 64 + MEMORY_PER_VERTEX * vertices;
+        anyhow::ensure!(
+            needed <= self.memory_limit,
+            "{vertices} vertices take about {} MiB of memory, more than --memory-limit allows ({} MiB)",
+            needed >> 20,
+            self.memory_limit >> 20
+        );
+        Ok(())
+    }
+}
+
+fn distance(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(distance) if distance >= 0.0 && distance.is_finite() => Ok(distance),
+        _ => Err(format!("`{text}` is no distance: a number, not below zero")),
+    }
+}
+
+/// A number of bytes: digits, perhaps with a fraction, and a unit.
+fn byte_size(text: &str) -> Result<u64, String> {
+    let digits = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
+    let (number, unit) = text.split_at(digits);
+    let scale: f64 = match unit.trim().to_ascii_lowercase().as_str() {
+        "" | "b" => 1.0,
+        "kb" => 1e3,
+        "mb" => 1e6,
+        "gb" => 1e9,
+        "tb" => 1e12,
+        "k" | "kib" => 1024.0,
+        "m" | "mib" => 1024.0 * 1024.0,
+        "g" | "gib" => 1024.0 * 1024.0 * 1024.0,
+        "t" | "tib" => 1024.0 * 1024.0 * 1024.0 * 1024.0,
+        _ => return Err(format!("`{unit}` is no unit; MB, MiB, GB and GiB are")),
+    };
+    match number.parse::<f64>() {
+        Ok(number) if number > 0.0 => Ok((number * scale) as u64),
+        _ => Err(format!("`{number}` is no number above zero")),
+    }
+}
+
 /// What ingesting one mesh came to.
 #[derive(Debug)]
 pub(super) struct Published {
     id: ModelId,
     cleaned: crate::ingest::clean::CleanReport,
-    built: crate::ingest::simplify::BuildReport,
+    built: BuildReport,
     bytes: u64,
 }
 
@@ -112,29 +209,31 @@ pub(super) struct Published {
 pub(super) fn publish(
     repository: &Repository,
     id: &ModelId,
-    mesh: TriMesh,
+    raw: RawMesh,
     metadata: Metadata,
     options: &BuildOptions,
-    progress: &mut ProgressLine,
+    (plan, workspace): (&Plan, &Workspace),
+    progress: &ProgressLine,
 ) -> anyhow::Result<Published> {
-    let triangles = mesh.faces.len() as u64;
-    progress.show("clean", 0, None);
-    let done = ingest(mesh, options, &mut |step: Progress| {
+    let triangles = raw.triangles();
+    plan.check(raw.vertices())?;
+    let show = |step: Progress| {
         let stage = match step.stage {
-            BuildStage::Prepare => "prepare",
-            BuildStage::Simplify => "simplify",
-            BuildStage::Assemble => "assemble",
+            Stage::Partition => "clean",
+            Stage::Simplify => "simplify",
+            Stage::Assemble => "assemble",
+            Stage::Write => "write",
         };
         progress.show(stage, (f64::from(step.fraction) * triangles as f64) as u64, Some(triangles));
-    })?;
-    progress.show("write", 0, None);
+    };
+    let done = ingest(raw, options, workspace, plan.threads, &show)?;
     // Times are left out of the pack: the same input gives the same bytes.
     let mut built = serde_json::to_value(&done.built)?;
     if let Some(fields) = built.as_object_mut() {
         fields.remove("timings");
     }
     let metadata = Metadata { clean_report: serde_json::to_value(&done.cleaned)?, build_report: built, ..metadata };
-    let bytes = repository.publish(id, |out| pack::write(&done.dag, &done.complete, &metadata, out))?;
+    let bytes = repository.publish(id, |out| done.write(&metadata, out, &show))?;
     Ok(Published { id: id.clone(), cleaned: done.cleaned, built: done.built, bytes })
 }
 
@@ -153,7 +252,7 @@ impl Published {
             let line = serde_json::json!({
                 "file": file.display().to_string(), "model": self.id.as_str(), "bytes": self.bytes,
                 "seconds": seconds, "triangles_per_second": rate, "not_carried": not_carried,
-                "clean": self.cleaned, "build": self.built,
+                "clean": self.cleaned, "build": self.built, "usage": Usage::now(),
             });
             println!("{line}");
             return Ok(());
@@ -303,6 +402,19 @@ mod tests {
         let args = args("a.ply --repository r").unwrap();
         assert_eq!((args.metric, args.placement, args.order), (Metric::Quadric, Placement::Endpoint, Order::Batched));
         assert_eq!((args.bits, args.json), (None, false));
+    }
+
+    #[test]
+    fn memory_decides_how_many_threads_work() {
+        assert_eq!(byte_size("4GiB"), Ok(DEFAULT_MEMORY_LIMIT));
+        assert_eq!((byte_size("1.5 MB"), byte_size("700")), (Ok(1_500_000), Ok(700)));
+        assert!(byte_size("4 parsecs").is_err() && byte_size("GiB").is_err() && byte_size("0MB").is_err());
+        assert_eq!(Plan::new(Some(64), 1 << 30).threads, 8);
+        let small = Plan::new(Some(3), 300 << 20);
+        assert_eq!(small.threads, 1);
+        assert!(small.check(1_000_000).is_ok());
+        let error = small.check(10_000_000).unwrap_err().to_string();
+        assert!(error.contains("10000000 vertices") && error.contains("300 MiB"), "{error}");
     }
 
     #[test]

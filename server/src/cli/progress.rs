@@ -1,15 +1,16 @@
 //! What long commands show while they work: stage, rate and time left on a terminal, nothing elsewhere.
 
 use std::io::IsTerminal as _;
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-/// One line on standard error that follows the stages of a command and is gone when the command is done.
+/// One line on standard error that follows the stages of a command and is gone when the command is done. Any thread may call it.
 #[derive(Debug)]
 pub struct ProgressLine {
     bar: ProgressBar,
-    stage: String,
+    stage: Mutex<String>,
 }
 
 impl ProgressLine {
@@ -20,17 +21,18 @@ impl ProgressLine {
         } else {
             ProgressDrawTarget::hidden()
         };
-        Self { bar: ProgressBar::with_draw_target(None, target), stage: String::new() }
+        Self { bar: ProgressBar::with_draw_target(None, target), stage: Mutex::default() }
     }
 
     /// Shows that `done` of `total` are done in `stage`; `total` is `None` while it is unknown. Cheap enough to be called
     /// for every thousand steps.
-    pub fn show(&mut self, stage: &str, done: u64, total: Option<u64>) {
-        if self.stage != stage {
-            self.stage = stage.to_owned();
+    pub fn show(&self, stage: &str, done: u64, total: Option<u64>) {
+        let mut shown = self.stage.lock().unwrap_or_else(PoisonError::into_inner);
+        if *shown != stage {
+            stage.clone_into(&mut shown);
             self.bar.reset();
             self.bar.set_style(style(total.is_some()));
-            self.bar.set_message(self.stage.clone());
+            self.bar.set_message(stage.to_owned());
             self.bar.enable_steady_tick(Duration::from_millis(250));
         }
         if let Some(total) = total {
@@ -66,7 +68,7 @@ mod tests {
 
     #[test]
     fn stages_follow_each_other() {
-        let mut line = ProgressLine::new(false);
+        let line = ProgressLine::new(false);
         line.show("read", 10, None);
         line.show("simplify", 1, Some(100));
         assert_eq!((line.bar.position(), line.bar.length()), (1, Some(100)));

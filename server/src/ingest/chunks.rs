@@ -95,6 +95,11 @@ impl VertexTable {
         self.places[v as usize] & BOUNDARY != 0
     }
 
+    /// Vertices on the boundary.
+    pub(crate) fn boundary_count(&self) -> usize {
+        self.places.iter().filter(|&&place| place & BOUNDARY != 0).count()
+    }
+
     /// Height of the smallest node that holds all faces of the vertex.
     pub(crate) fn height(&self, v: u32) -> u8 {
         self.places[v as usize] & !BOUNDARY
@@ -144,6 +149,7 @@ pub(crate) struct Component {
 }
 
 /// The vertices of some faces: their global numbers, ascending.
+#[cfg(test)]
 pub(crate) fn vertices_of(faces: &[[u32; 3]]) -> Vec<u32> {
     let mut vertices: Vec<u32> = faces.as_flattened().to_vec();
     vertices.sort_unstable();

@@ -27,6 +27,16 @@ impl RawMesh {
         })
     }
 
+    /// Vertices.
+    pub fn vertices(&self) -> u64 {
+        self.positions.len()
+    }
+
+    /// Triangles.
+    pub fn triangles(&self) -> u64 {
+        self.faces.len()
+    }
+
     /// The mesh in memory.
     ///
     /// # Errors

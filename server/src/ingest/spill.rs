@@ -91,8 +91,12 @@ impl<T: NoUninit + AnyBitPattern> SpillWriter<'_, T> {
 
     /// Appends items.
     pub(crate) fn push(&mut self, items: &[T]) -> Result<(), SpillError> {
+        if self.file.is_some() && size_of_val(items) >= GRAIN {
+            self.flush()?;
+            return self.write(items);
+        }
         self.memory.extend_from_slice(items);
-        let bytes = std::mem::size_of_val(self.memory.as_slice()) as u64;
+        let bytes = size_of_val(self.memory.as_slice()) as u64;
         while self.file.is_none() && bytes > self.reserved {
             if self.workspace.reserve() {
                 self.reserved += GRAIN as u64;
@@ -110,12 +114,22 @@ impl<T: NoUninit + AnyBitPattern> SpillWriter<'_, T> {
         Ok(())
     }
 
+    /// Moves what is in memory to the file, if there is one.
     fn flush(&mut self) -> Result<(), SpillError> {
+        if self.file.is_some() {
+            let items = std::mem::take(&mut self.memory);
+            self.write(&items)?;
+            self.memory = items;
+            self.memory.clear();
+        }
+        Ok(())
+    }
+
+    fn write(&mut self, items: &[T]) -> Result<(), SpillError> {
         if let Some(file) = &self.file {
             let at = self.written * size_of::<T>() as u64;
-            write_at(file, bytemuck::cast_slice(&self.memory), at).map_err(self.workspace.failed("write"))?;
-            self.written += self.memory.len() as u64;
-            self.memory.clear();
+            write_at(file, bytemuck::cast_slice(items), at).map_err(self.workspace.failed("write"))?;
+            self.written += items.len() as u64;
         }
         Ok(())
     }
@@ -168,13 +182,27 @@ impl<T: NoUninit + AnyBitPattern> Spill<T> {
     /// If the range is not within the sequence.
     pub(crate) fn append_to(&self, range: Range<u64>, out: &mut Vec<T>) -> Result<(), SpillError> {
         assert!(range.start <= range.end && range.end <= self.len, "{range:?} of {} items", self.len);
+        if let Items::Memory(items) = &self.items {
+            out.extend_from_slice(&items[range.start as usize..range.end as usize]);
+            return Ok(());
+        }
+        let before = out.len();
+        out.resize(before + (range.end - range.start) as usize, T::zeroed());
+        self.fill(range.start, &mut out[before..])
+    }
+
+    /// Overwrites `out` with the items from `start` on.
+    ///
+    /// # Panics
+    /// If there are not so many.
+    pub(crate) fn fill(&self, start: u64, out: &mut [T]) -> Result<(), SpillError> {
+        let end = start + out.len() as u64;
+        assert!(end <= self.len, "{start}..{end} of {} items", self.len);
         match &self.items {
-            Items::Memory(items) => out.extend_from_slice(&items[range.start as usize..range.end as usize]),
+            Items::Memory(items) => out.copy_from_slice(&items[start as usize..end as usize]),
             Items::File(file, _) => {
-                let before = out.len();
-                out.resize(before + (range.end - range.start) as usize, T::zeroed());
-                let at = range.start * size_of::<T>() as u64;
-                read_at(file, bytemuck::cast_slice_mut(&mut out[before..]), at).map_err(|source| SpillError {
+                let at = start * size_of::<T>() as u64;
+                read_at(file, bytemuck::cast_slice_mut(out), at).map_err(|source| SpillError {
                     what: "read",
                     directory: self.directory.clone(),
                     source,
@@ -258,7 +286,8 @@ mod tests {
             let workspace = Workspace::new(&directory, memory_bytes);
             let mut writer = workspace.spill::<[u32; 3]>();
             let items: Vec<[u32; 3]> = (0..300_000).map(|i| [i, i ^ 7, !i]).collect();
-            items.chunks(777).for_each(|part| writer.push(part).unwrap());
+            let (small, large) = items.split_at(100_000);
+            small.chunks(777).chain([large]).for_each(|part| writer.push(part).unwrap());
             assert_eq!(writer.len(), 300_000);
             let spill = writer.finish().unwrap();
             assert_eq!(spill.len(), 300_000);

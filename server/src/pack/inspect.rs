@@ -35,6 +35,8 @@ pub struct Inspection {
     pub lattice: Lattice,
     /// Sides of the box in model units.
     pub extent: [f64; 3],
+    /// What vertices have: `position`, and `color` if they have colours.
+    pub attributes: Vec<&'static str>,
     /// Whether vertices have colours.
     pub has_colors: bool,
     /// Whether splits may move the vertex that they split.
@@ -43,14 +45,18 @@ pub struct Inspection {
     pub is_open: bool,
     /// Vertices of the base.
     pub base_vertices: u32,
-    /// Triangles of the base: the smallest limit that a view may ask for.
+    /// Triangles of the base.
     pub base_triangles: u32,
+    /// Smallest triangle limit that a view may ask for, which is the base.
+    pub smallest_limit: u32,
     /// Components that spawn.
     pub spawns: u32,
     /// Vertex splits.
     pub splits: u32,
-    /// Smallest and largest error of an op in model units; zeros without ops.
+    /// Smallest error of an op that is not zero, and the largest, in model units; zeros without such ops.
     pub error_range: [f64; 2],
+    /// Ops with an error of exactly zero.
+    pub zero_errors: u64,
     /// Ops on the longest chain of parents.
     pub dag_depth: u32,
     /// How many splits have 0, 1, 2 and 3 parents.
@@ -69,10 +75,15 @@ pub struct Inspection {
 /// [`PackError`] if a page is damaged.
 pub fn inspect(model: &PackedModel) -> Result<Inspection, PackError> {
     let info = model.info();
-    let mut errors: Option<(u16, u16)> = None;
+    let (mut smallest, mut largest, mut zero_errors) = (u16::MAX, 0, 0);
     for page in 0..model.page_count() {
         for &error in model.tests(page)?.error {
-            errors = Some(errors.map_or((error, error), |(low, high)| (low.min(error), high.max(error))));
+            largest = error.max(largest);
+            if error == 0 {
+                zero_errors += 1;
+            } else {
+                smallest = error.min(smallest);
+            }
         }
     }
     let mut depth = vec![0u32; model.op_count() as usize];
@@ -99,14 +110,17 @@ pub fn inspect(model: &PackedModel) -> Result<Inspection, PackError> {
         triangles: info.triangles,
         lattice: info.lattice,
         extent: std::array::from_fn(|k| f64::from(info.box_max[k] - info.box_min[k]) * info.lattice.step),
+        attributes: if info.has_colors { vec!["position", "color"] } else { vec!["position"] },
         has_colors: info.has_colors,
         has_moves: info.has_moves,
         is_open: info.is_open,
         base_vertices: model.base().positions.len() as u32,
-        base_triangles: info.smallest_limit,
+        base_triangles: model.base().faces.len() as u32,
+        smallest_limit: info.smallest_limit,
         spawns: model.spawn_count(),
         splits: model.op_count() - model.spawn_count(),
-        error_range: errors.map_or([0.0; 2], |(low, high)| [error_of(low), error_of(high)]),
+        error_range: [smallest.min(largest), largest].map(error_of),
+        zero_errors,
         dag_depth: depth.into_iter().max().unwrap_or(0),
         parents_histogram,
         bytes: model.file_bytes(),
@@ -132,9 +146,11 @@ impl fmt::Display for Inspection {
         line("extent", format!("{x} x {y} x {z}"))?;
         line("lattice", format!("{} bits, step {:e}", self.lattice.bits, self.lattice.step))?;
         line("attributes", or_dash(&attributes.join(", ")))?;
-        line("base", format!("{} triangles (smallest limit), {} vertices", self.base_triangles, self.base_vertices))?;
+        line("base", format!("{} triangles, {} vertices", self.base_triangles, self.base_vertices))?;
+        line("smallest limit", format!("{} triangles", self.smallest_limit))?;
         line("operations", format!("{} splits, {} spawns", self.splits, self.spawns))?;
-        line("errors", format!("{:e} to {:e}", self.error_range[0], self.error_range[1]))?;
+        let [smallest, largest] = self.error_range;
+        line("errors", format!("{smallest:e} to {largest:e}, and {} of zero", self.zero_errors))?;
         line("depth", format!("{} operations", self.dag_depth))?;
         line("parents", format!("0: {p0}, 1: {p1}, 2: {p2}, 3: {p3}"))?;
         line(

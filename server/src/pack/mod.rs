@@ -30,13 +30,11 @@ pub use inspect::{Inspection, SectionSize, inspect};
 pub(crate) use layout::SpawnEntry;
 pub use layout::{PAGE_OPS, VERSION};
 pub use metadata::Metadata;
-#[allow(unused_imports)]
 pub(crate) use outline::{Outline, SplitSource};
 pub use page::{Column, TestPage};
 pub use read::{PackedModel, SplitFields};
 pub use replay::{extract_complete, parents_first, replay};
 pub use verify::{VerifyReport, verify};
-#[allow(unused_imports)]
 pub(crate) use write::write_splits;
 pub use write::{WriteError, write, write_to_vec};
 

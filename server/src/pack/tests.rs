@@ -153,6 +153,69 @@ fn verify_replays_every_kind() {
 }
 
 #[test]
+fn an_inspection_as_json_says_all_there_is_to_say() {
+    let (dag, complete) = random_dag(&DagOptions { has_colors: true, spawns: 20, ..DagOptions::default() });
+    let cleaned = serde_json::json!({ "welded_vertices": 17 });
+    let metadata = Metadata {
+        license: "CC0-1.0".into(),
+        source: "a field".into(),
+        clean_report: cleaned.clone(),
+        ..Metadata::default()
+    };
+    let bytes = write_to_vec(&dag, &complete, &metadata).unwrap();
+    let model = PackedModel::from_vec(bytes).unwrap();
+    let json = serde_json::to_value(inspect(&model).unwrap()).unwrap();
+    let mut errors: Vec<f64> = dag
+        .spawns
+        .iter()
+        .map(|spawn| &spawn.bounds)
+        .chain(dag.splits.iter().map(|s| &s.bounds))
+        .map(|bounds| f64::from(bounds.error.decode()) * dag.lattice.step)
+        .collect();
+    let zeros = errors.iter().filter(|&&error| error == 0.0).count();
+    errors.retain(|&error| error > 0.0);
+    errors.sort_by(f64::total_cmp);
+    // Parents by the accessor, depth by going on until nothing changes.
+    let mut histogram = [0u64; 4];
+    let mut depth: Vec<u32> = vec![1; model.op_count() as usize];
+    for op in dag.spawns.len() as u32..model.op_count() {
+        histogram[model.parents(op).unwrap().1] += 1;
+    }
+    loop {
+        let before = depth.clone();
+        for op in dag.spawns.len() as u32..model.op_count() {
+            let (parents, count) = model.parents(op).unwrap();
+            let above = parents[..count].iter().map(|&parent| depth[parent as usize]).max();
+            depth[op as usize] = 1 + above.unwrap_or(0);
+        }
+        if depth == before {
+            break;
+        }
+    }
+    for (pointer, expected) in [
+        ("/triangles", serde_json::json!(complete.triangles)),
+        ("/vertices", serde_json::json!(complete.vertices)),
+        ("/splits", serde_json::json!(dag.splits.len())),
+        ("/spawns", serde_json::json!(20)),
+        ("/lattice/bits", serde_json::json!(dag.lattice.bits)),
+        ("/lattice/step", serde_json::json!(dag.lattice.step)),
+        ("/error_range", serde_json::json!([errors[0], errors[errors.len() - 1]])),
+        ("/zero_errors", serde_json::json!(zeros)),
+        ("/dag_depth", serde_json::json!(depth.iter().max())),
+        ("/parents_histogram", serde_json::json!(histogram)),
+        ("/base_triangles", serde_json::json!(dag.base.faces.len())),
+        ("/base_vertices", serde_json::json!(dag.base.positions.len())),
+        ("/smallest_limit", serde_json::json!(dag.base.faces.len())),
+        ("/attributes", serde_json::json!(["position", "color"])),
+        ("/metadata/license", serde_json::json!("CC0-1.0")),
+        ("/metadata/source", serde_json::json!("a field")),
+        ("/metadata/clean_report", cleaned),
+    ] {
+        assert_eq!(json.pointer(pointer), Some(&expected), "{pointer}");
+    }
+}
+
+#[test]
 fn verify_finds_records_that_fit_the_format_but_not_each_other() {
     let (dag, complete) = random_dag(&DagOptions { splits: 300, ..DagOptions::default() });
     let check = |what: &str, spoil: &dyn Fn(&mut Dag, &mut CompleteMesh)| {

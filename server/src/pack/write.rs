@@ -55,11 +55,11 @@ pub fn write(
     metadata: &Metadata,
     out: &mut (impl Write + Seek),
 ) -> Result<u64, WriteError> {
-    write_splits(&Outline::of(dag)?, &mut WholeDag::new(dag), complete, metadata, out)
+    write_splits(&Outline::of(dag)?, &mut WholeDag::new(dag), complete, metadata, out, &mut |_| {})
 }
 
 /// [`write`](fn@write) for a model whose splits are nowhere together. Holds some pages besides the outline, a stretch of
-/// splits and the directory (8 bytes per 256 ops).
+/// splits and the directory (8 bytes per 256 ops). `progress` hears the share of the ops that is written.
 ///
 /// # Errors
 /// As there, and what the source says.
@@ -69,6 +69,7 @@ pub(crate) fn write_splits(
     complete: &CompleteMesh,
     metadata: &Metadata,
     out: &mut (impl Write + Seek),
+    progress: &mut dyn FnMut(f32),
 ) -> Result<u64, WriteError> {
     let context = check(outline, complete)?;
     metadata.check().map_err(invalid)?;
@@ -92,7 +93,13 @@ pub(crate) fn write_splits(
     sections.end_pages(pages, Section::SpawnPages, Section::SpawnDirectory)?;
 
     let mut pages = PageStream::default();
-    put_op_pages(outline, &context, splits, &mut |bytes| pages.put(sections.out, bytes))?;
+    let count = context.ops.div_ceil(PAGE_OPS);
+    put_op_pages(outline, &context, splits, &mut |page, bytes| {
+        if page % PAGES_AT_ONCE == 0 {
+            progress(page as f32 / count as f32);
+        }
+        pages.put(sections.out, bytes)
+    })?;
     sections.end_pages(pages, Section::OpPages, Section::OpDirectory)?;
     sections.finish()
 }
@@ -211,7 +218,7 @@ fn put_op_pages(
     outline: &Outline,
     context: &PageContext,
     source: &mut impl SplitSource,
-    put: &mut impl FnMut(&[u8]) -> Result<(), WriteError>,
+    put: &mut impl FnMut(u32, &[u8]) -> Result<(), WriteError>,
 ) -> Result<(), WriteError> {
     let splits_of = |page: u32| {
         let (first, ops, _) = context.rows(page);
@@ -246,8 +253,8 @@ fn put_op_pages(
                 op_page(outline, context, page, splits)
             })
             .collect();
-        for bytes in encoded {
-            put(&bytes?)?;
+        for (page, bytes) in (page..end).zip(encoded) {
+            put(page, &bytes?)?;
         }
         page = end;
     }

@@ -128,6 +128,11 @@ impl Repository {
         result
     }
 
+    /// The directory itself.
+    pub fn directory(&self) -> &Path {
+        self.store.directory()
+    }
+
     /// The file of a model, whether it exists or not.
     pub fn path(&self, id: &ModelId) -> PathBuf {
         self.store.path(id)

@@ -44,6 +44,10 @@ impl Store {
         Self { directory: directory.to_owned(), next_temporary: AtomicU32::new(0) }
     }
 
+    pub(super) fn directory(&self) -> &Path {
+        &self.directory
+    }
+
     pub(super) fn path(&self, id: &ModelId) -> PathBuf {
         self.directory.join(format!("{id}{EXTENSION}"))
     }

@@ -1,7 +1,9 @@
 //! Connected components: which are the base and which are spawned (DESIGN section 2, "Components").
 
+#[cfg(test)]
 use glam::DVec3;
 
+#[cfg(test)]
 use super::{NONE, Point};
 
 /// Most triangles of a base that consists of more than its largest component.
@@ -10,6 +12,7 @@ const MAX_BASE_TRIANGLES: usize = 1000;
 const MIN_BASE_DIAGONAL: f64 = 0.25;
 
 /// The connected components of the complete mesh, numbered by their smallest vertex.
+#[cfg(test)]
 #[derive(Debug)]
 pub(crate) struct Components {
     /// Component of each vertex; meaningless for a vertex without faces.
@@ -18,6 +21,7 @@ pub(crate) struct Components {
     pub(crate) boxes: Vec<(DVec3, DVec3)>,
 }
 
+#[cfg(test)]
 impl Components {
     /// Union-find over the faces' corners. O(vertices + faces), near enough.
     pub(crate) fn new(points: &[Point], faces: &[[u32; 3]]) -> Self {
@@ -91,6 +95,7 @@ pub(crate) fn base_and_spawns(diagonals: &[f64], triangles: &[usize]) -> (Vec<u3
     })
 }
 
+#[cfg(test)]
 fn root(up: &mut [u32], mut v: u32) -> u32 {
     while up[v as usize] != v {
         up[v as usize] = up[up[v as usize] as usize];

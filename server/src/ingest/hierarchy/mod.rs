@@ -9,6 +9,7 @@ pub(crate) mod assembly;
 pub(crate) mod bounds;
 pub(crate) mod components;
 pub(crate) mod deviation;
+#[cfg(test)]
 pub(crate) mod forest;
 pub(crate) mod order;
 

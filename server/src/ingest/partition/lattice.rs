@@ -7,7 +7,9 @@
 use lodestream_protocol::quant::{Lattice, MAX_LATTICE_BITS};
 
 use super::survey::at;
-use crate::ingest::simplify::lattice::MIN_DEFAULT_BITS;
+
+/// Fewest bits that are chosen without being asked for.
+pub(crate) const MIN_DEFAULT_BITS: u8 = 12;
 
 /// Low bits of an `f32` that the histogram leaves out.
 const FINE_BITS: u32 = 15;

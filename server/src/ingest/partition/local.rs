@@ -31,10 +31,6 @@ impl Local {
         self.own.len() + self.others.len()
     }
 
-    pub(super) fn others(&self) -> &[u32] {
-        &self.others
-    }
-
     /// Place of a vertex.
     #[inline]
     pub(super) fn place(&self, vertex: u32) -> u32 {

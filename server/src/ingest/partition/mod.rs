@@ -36,6 +36,8 @@ use lodestream_protocol::quant::{Lattice, MAX_LATTICE_BITS, MIN_LATTICE_BITS};
 use self::bits::Bits;
 use self::faces::{Face, Ranges};
 use self::lattice::EdgeLengths;
+#[cfg(test)]
+pub(crate) use self::lattice::MIN_DEFAULT_BITS;
 use self::runs::{Runs, in_order};
 use self::scan::Extent;
 use self::stars::Stars;
@@ -58,6 +60,12 @@ pub(crate) struct PartitionOptions {
     pub(crate) limits: Limits,
 }
 
+impl PartitionOptions {
+    pub(crate) fn new(bits: Option<u8>, weld_tolerance: f64) -> Self {
+        Self { bits, weld_tolerance, ..Self::default() }
+    }
+}
+
 /// How much is in memory at once.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limits {
@@ -76,7 +84,7 @@ impl Default for Limits {
 /// Why a mesh was not partitioned.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub(crate) enum PartitionError {
+pub enum PartitionError {
     /// Temporary data could not be kept.
     #[error(transparent)]
     Spill(#[from] SpillError),

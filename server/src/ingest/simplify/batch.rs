@@ -110,6 +110,7 @@ pub(crate) struct State {
     pub(crate) samples: Samples,
 }
 
+#[cfg(test)]
 impl State {
     /// Of a complete mesh.
     pub(crate) fn of_originals(surface: &Surface, points: Vec<Point>, has_colors: bool) -> Self {
@@ -193,6 +194,7 @@ impl Simplifier {
     }
 
     /// Faces that are left, ascending.
+    #[cfg(test)]
     pub(crate) fn root_faces(&self) -> Vec<(u32, [u32; 3])> {
         self.live_faces.iter().map(|&f| (f, self.surface.corners(f))).collect()
     }

@@ -3,21 +3,17 @@
 use glam::DVec3;
 use lodestream_protocol::quant::{Lattice, MAX_LATTICE_BITS};
 
-use super::BuildError;
-use crate::{ingest::hierarchy::Point, mesh::TriMesh};
-
-/// Fewest bits that are chosen without being asked for.
-pub(crate) const MIN_DEFAULT_BITS: u8 = 12;
+use crate::{
+    ingest::{hierarchy::Point, partition::MIN_DEFAULT_BITS},
+    mesh::TriMesh,
+};
 
 /// The lattice of `mesh`: `bits` if given, else the fewest for which a step is at most 1/16 of the mean edge and half the
 /// 1st-percentile edge (edges of zero length left out), within 12 to 21 bits.
-pub(crate) fn choose(mesh: &TriMesh, bits: Option<u8>) -> Result<Lattice, BuildError> {
-    if let Some(vertex) = mesh.positions.iter().position(|p| p.iter().any(|x| !x.is_finite())) {
-        return Err(BuildError::NotFinite { vertex });
-    }
+pub(crate) fn choose(mesh: &TriMesh, bits: Option<u8>) -> Lattice {
     let (min, max) = mesh.bounding_box().unwrap_or_default();
     if let Some(bits) = bits {
-        return Ok(Lattice::of_box(min, max, bits));
+        return Lattice::of_box(min, max, bits);
     }
     let mut lengths: Vec<f32> = Vec::with_capacity(3 * mesh.faces.len());
     let mut sum = 0.0;
@@ -41,7 +37,7 @@ pub(crate) fn choose(mesh: &TriMesh, bits: Option<u8>) -> Result<Lattice, BuildE
             bits += 1;
         }
     }
-    Ok(Lattice::of_box(min, max, bits))
+    Lattice::of_box(min, max, bits)
 }
 
 /// The vertices of `mesh`, rounded to `lattice`; which of them are on the boundary is left open.

@@ -5,8 +5,6 @@
 //! place later, which is what the split records are made of. Twins are explicit: two edges between the same pair of
 //! vertices, should they ever arise, stay apart.
 
-use super::BuildError;
-
 /// No half-edge, no vertex, no op.
 pub(crate) const NONE: u32 = u32::MAX;
 
@@ -36,20 +34,22 @@ pub(crate) struct Surface {
 }
 
 impl Surface {
-    /// Builds the structure and checks what [`BuildError`] lists. O(faces + vertices) for any valence.
-    pub(crate) fn new(vertex_count: usize, faces: &[[u32; 3]]) -> Result<Self, BuildError> {
+    /// Builds the structure and checks what [`SurfaceError`] lists. O(faces + vertices) for any valence.
+    #[cfg(test)]
+    pub(crate) fn new(vertex_count: usize, faces: &[[u32; 3]]) -> Result<Self, SurfaceError> {
         let surface = Self::of_part(vertex_count, faces)?;
         for v in 0..vertex_count as u32 {
             if surface.spokes(v).count() != surface.valence(v) as usize {
-                return Err(BuildError::SeveralFans { vertex: v });
+                return Err(SurfaceError::SeveralFans { vertex: v });
             }
         }
         Ok(surface)
     }
 
-    /// The same for a part of a mesh: where some faces of a vertex are missing, those that are there may be several fans, of
-    /// which [`Surface::spokes`] then shows one.
-    pub(crate) fn of_part(vertex_count: usize, faces: &[[u32; 3]]) -> Result<Self, BuildError> {
+    /// Builds the structure of a part of a mesh and checks what [`SurfaceError`] lists but for fans: where some faces of a
+    /// vertex are missing, those that are there may be several fans, of which [`Surface::spokes`] then shows one. O(faces +
+    /// vertices) for any valence.
+    pub(crate) fn of_part(vertex_count: usize, faces: &[[u32; 3]]) -> Result<Self, SurfaceError> {
         check_indices(vertex_count, faces)?;
         let mut valences = vec![0u32; vertex_count];
         for &v in faces.iter().flatten() {
@@ -75,7 +75,7 @@ impl Surface {
             for &h in star {
                 let to = origins[next(h) as usize];
                 if reached_from[to as usize].0 == v as u32 {
-                    return Err(BuildError::RepeatedEdge { from: v as u32, to });
+                    return Err(SurfaceError::RepeatedEdge { from: v as u32, to });
                 }
                 reached_from[to as usize] = (v as u32, h);
             }
@@ -128,6 +128,7 @@ impl Surface {
     }
 
     /// Whether `v` has faces and lies on the boundary.
+    #[cfg(test)]
     #[inline]
     pub(crate) fn is_boundary(&self, v: u32) -> bool {
         let out = self.outs[v as usize];
@@ -240,18 +241,60 @@ impl Surface {
     }
 }
 
+/// Why faces make no surface: all but the first mean that the mesh was not cleaned.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum SurfaceError {
+    /// More than 32-bit half-edge ids can number.
+    #[error("{vertices} vertices and {faces} faces are too many for one surface")]
+    TooLarge {
+        /// Vertices of the mesh.
+        vertices: usize,
+        /// Faces of the mesh.
+        faces: usize,
+    },
+    /// A corner is no vertex.
+    #[error("face {face} refers to vertex {vertex}, which does not exist")]
+    NoSuchVertex {
+        /// Index of the face.
+        face: usize,
+        /// The corner.
+        vertex: u32,
+    },
+    /// A face has the same vertex twice.
+    #[error("face {face} has a repeated corner")]
+    RepeatedCorner {
+        /// Index of the face.
+        face: usize,
+    },
+    /// A directed edge belongs to two faces.
+    #[error("two faces have an edge from vertex {from} to vertex {to}")]
+    RepeatedEdge {
+        /// Start of the edge.
+        from: u32,
+        /// End of the edge.
+        to: u32,
+    },
+    /// The faces at a vertex are not one fan.
+    #[cfg(test)]
+    #[error("the faces at vertex {vertex} form several fans")]
+    SeveralFans {
+        /// Index of the vertex.
+        vertex: u32,
+    },
+}
+
 /// Checks counts, corner indices and repeated corners.
-pub(crate) fn check_indices(vertex_count: usize, faces: &[[u32; 3]]) -> Result<(), BuildError> {
+pub(crate) fn check_indices(vertex_count: usize, faces: &[[u32; 3]]) -> Result<(), SurfaceError> {
     if faces.len() > (NONE / 3 - 1) as usize || vertex_count > (NONE - 1) as usize {
-        return Err(BuildError::TooLarge { vertices: vertex_count, faces: faces.len() });
+        return Err(SurfaceError::TooLarge { vertices: vertex_count, faces: faces.len() });
     }
     for (face, corners) in faces.iter().enumerate() {
         if let Some(&vertex) = corners.iter().find(|&&v| v as usize >= vertex_count) {
-            return Err(BuildError::NoSuchVertex { face, vertex });
+            return Err(SurfaceError::NoSuchVertex { face, vertex });
         }
         let [a, b, c] = corners;
         if a == b || b == c || c == a {
-            return Err(BuildError::RepeatedCorner { face });
+            return Err(SurfaceError::RepeatedCorner { face });
         }
     }
     Ok(())

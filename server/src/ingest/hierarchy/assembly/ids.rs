@@ -9,15 +9,15 @@ use crate::ingest::hierarchy::{CollapseRecord, NONE};
 use crate::ingest::spill::{Spill, SpillError, SpillWriter, Workspace};
 use crate::pack::WriteError;
 
-/// Band, code and collapse, such that keys sort as the splits do.
-type Key = [u64; 2];
+/// Band, code and collapse, such that keys sort as the splits do. One number, since numbers compare without a branch.
+type Key = u128;
 
 fn key(band: u8, code: u64, op: u32) -> Key {
-    [u64::from(31 - band) << 59 | code >> 4, (code & 15) << 32 | u64::from(!op)]
+    Key::from(u8::MAX - band) << 95 | Key::from(code) << 32 | Key::from(!op)
 }
 
 fn op_of(key: Key) -> u32 {
-    !(key[1] as u32)
+    !(key as u32)
 }
 
 /// Final id of each collapse, counted from `first_id`. `max` is the largest coordinate of the lattice. Holds 9 bytes per

@@ -99,7 +99,7 @@ pub(crate) struct Assembled {
 }
 
 impl Assembled {
-    /// Writes the pack; see [`pack::write`](fn@crate::pack::write).
+    /// Writes the pack; see [`pack::write`](fn@crate::pack::write). `progress` hears the share that is done.
     ///
     /// # Errors
     /// As there, and [`SpillError`] in [`WriteError::Source`].
@@ -108,8 +108,9 @@ impl Assembled {
         complete: &CompleteMesh,
         metadata: &Metadata,
         out: &mut (impl Write + Seek),
+        progress: &mut dyn FnMut(f32),
     ) -> Result<u64, WriteError> {
-        write_splits(&self.outline, &mut Splits::new(&self.runs), complete, metadata, out)
+        write_splits(&self.outline, &mut Splits::new(&self.runs), complete, metadata, out, progress)
     }
 }
 

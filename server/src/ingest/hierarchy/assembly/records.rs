@@ -292,9 +292,9 @@ impl Filing<'_> {
             NONE => (0, NO_CUT),
             code if code < self.codes_end => {
                 let side = (code / 3 % 2) as u8;
-                (self.ids[(code / CODES) as usize], SPLIT_CUT + side | resolved.edges[k] << 2)
+                (self.ids[(code / CODES) as usize], (SPLIT_CUT + side) | (resolved.edges[k] << 2))
             }
-            code => (code - self.codes_end, ROOT_CUT | resolved.edges[k] << 2),
+            code => (code - self.codes_end, ROOT_CUT | (resolved.edges[k] << 2)),
         };
         let (left, right) = (cut(0), cut(1));
         let bounds = collapse.bounds();

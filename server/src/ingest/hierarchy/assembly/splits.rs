@@ -6,6 +6,7 @@
 use std::ops::Range;
 
 use bytemuck::{Pod, Zeroable};
+use rayon::prelude::*;
 
 use crate::ingest::spill::Spill;
 use crate::pack::record::{Bounds, Cone, CutRef, Magnitude, SplitRecord};
@@ -104,14 +105,23 @@ impl SplitSource for Splits<'_> {
     fn advance(&mut self) -> Result<u32, WriteError> {
         let Runs { splits, starts, bucket, ids } = self.runs;
         let buckets = ids.end.div_ceil(*bucket);
-        self.splits.clear();
         if self.next >= buckets {
+            self.splits.clear();
             return Ok(0);
         }
-        let of_each_run = (self.next as usize..starts.len() - 1).step_by(buckets as usize);
-        for at in of_each_run {
-            splits.append_to(starts[at]..starts[at + 1], &mut self.splits)?;
+        let parts =
+            (self.next as usize..starts.len() - 1).step_by(buckets as usize).map(|at| starts[at]..starts[at + 1]);
+        let count: u64 = parts.clone().map(|part| part.end - part.start).sum();
+        // What is there is written over: filling a file's worth of memory with zeros first would cost as much as the reading.
+        self.splits.resize(count as usize, Zeroable::zeroed());
+        let mut rest = &mut self.splits[..];
+        let mut reads = Vec::new();
+        for part in parts {
+            let (own, others) = rest.split_at_mut((part.end - part.start) as usize);
+            reads.push((part.start, own));
+            rest = others;
         }
+        reads.into_par_iter().try_for_each(|(start, part)| splits.fill(start, part))?;
         let first = ids.start.max(self.next * bucket);
         self.places.clear();
         self.places.resize(self.splits.len(), 0);

@@ -178,7 +178,7 @@ fn is_open(mesh: &TriMesh) -> bool {
 fn check_twin(input: &TriMesh, bits: Option<u8>, (mesh, report): &(ChunkedMesh, CleanReport)) {
     let (cleaned, expected_report) = clean(input.clone());
     assert_eq!(*report, expected_report, "{report}\n{expected_report}");
-    let lattice = choose(&cleaned, bits).unwrap();
+    let lattice = choose(&cleaned, bits);
     assert_eq!(mesh.lattice, lattice);
     let rounded: Vec<[i32; 3]> = round(&cleaned, &lattice).iter().map(|point| point.position).collect();
     assert_eq!(mesh.complete, CompleteMesh::of(&rounded, cleaned.colors.as_deref(), &cleaned.faces));
@@ -520,7 +520,7 @@ fn near_vertices_are_joined_as_by_comparing_all() {
             if twin.one_sided_edges > 0 {
                 continue;
             }
-            let lattice = choose(&cleaned, None).unwrap();
+            let lattice = choose(&cleaned, None);
             assert_eq!(chunked.lattice, lattice);
             let rounded: Vec<[i32; 3]> = cleaned.positions.iter().map(|&p| lattice.quantize(p)).collect();
             assert_eq!(chunked.complete, CompleteMesh::of(&rounded, None, &cleaned.faces));

@@ -14,6 +14,7 @@ mod tests;
 
 use glam::DVec3;
 
+use super::batch::Mover;
 use super::quadric::{self, Quadric};
 use crate::ingest::hierarchy::Point;
 
@@ -34,6 +35,11 @@ pub enum PlacementChoice {
 impl PlacementChoice {
     /// All there are, the default first.
     pub const ALL: [Self; 4] = [Self::Endpoint, Self::Midpoint, Self::Subset, Self::Optimal];
+
+    /// What places vertices on a lattice with this largest coordinate, or `None` for half-edge collapses.
+    pub(crate) fn mover(self, max_coordinate: i32) -> Option<Mover> {
+        self.rule().map(|rule| Mover { rule, max_coordinate })
+    }
 
     /// The rule, or `None` for half-edge collapses, which need none: their place is that of the end that stays.
     pub(super) fn rule(self) -> Option<&'static dyn Placement> {

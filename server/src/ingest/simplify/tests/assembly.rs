@@ -4,7 +4,8 @@ use std::io::Cursor;
 use std::path::Path;
 
 use super::super::batch::{Simplifier, State};
-use super::super::{is_open, lattice, order, surface::Surface};
+use super::super::{lattice, order, surface::Surface};
+use super::in_core::is_open;
 use super::{meshes::*, real_meshes};
 use crate::ingest::hierarchy::assembly::{Assembled, Grain, Model, assemble, assemble_by, tests::spilled};
 use crate::ingest::hierarchy::components::Components;
@@ -20,7 +21,7 @@ const SMALL: Grain = Grain { keys: 50, collapses: 37, bucket: 256 };
 
 /// Simplifies in memory and hands over what there is then.
 fn simplify<T>(mesh: &TriMesh, go_on: impl FnOnce(&InCore, CompleteMesh) -> T) -> T {
-    let lattice = lattice::choose(mesh, None).unwrap();
+    let lattice = lattice::choose(mesh, None);
     let (mut points, faces) = order::by_place(&lattice::round(mesh, &lattice), &mesh.faces, lattice.bits);
     let surface = Surface::new(points.len(), &faces).unwrap();
     for (v, point) in (0..).zip(&mut points) {
@@ -72,7 +73,7 @@ fn assembled(
 
 fn pack(assembled: &Assembled, complete: &CompleteMesh) -> Vec<u8> {
     let mut out = Cursor::new(Vec::new());
-    let len = assembled.write(complete, &Metadata::default(), &mut out).unwrap();
+    let len = assembled.write(complete, &Metadata::default(), &mut out, &mut |_| {}).unwrap();
     assert_eq!(len, out.get_ref().len() as u64);
     out.into_inner()
 }
@@ -190,5 +191,56 @@ fn a_directory_that_cannot_be_written_is_named() {
         let error = assemble(&model, simplified, &nowhere, &mut |_| {}).unwrap_err();
         assert!(matches!(error, WriteError::Source(_)));
         assert_eq!(error.to_string(), "cannot make temporary data in no/such/directory");
+    });
+}
+
+/// Assembles the mesh that `LODESTREAM_SCAN` names from files on disk and prints time and memory.
+#[test]
+#[ignore = "prints figures, proves nothing"]
+fn figures_of_assembly() {
+    let Some(path) = std::env::var_os("LODESTREAM_SCAN") else { return };
+    let (mesh, _) = crate::ingest::read::read_mesh(Path::new(&path)).unwrap();
+    let (mesh, _) = crate::ingest::clean::clean(mesh);
+    // Processor seconds of the process, resident and peak bytes.
+    let usage = || -> [f64; 3] {
+        let stat = std::fs::read_to_string("/proc/self/stat").unwrap();
+        let ticks = |field: usize| stat.rsplit(')').next().unwrap().split(' ').nth(field).unwrap().parse::<f64>();
+        let status = std::fs::read_to_string("/proc/self/status").unwrap();
+        let of = |name: &str| {
+            let line = status.lines().find(|line| line.starts_with(name)).unwrap();
+            line.split_whitespace().nth(1).unwrap().parse::<f64>().unwrap() / 1024.0
+        };
+        [(ticks(12).unwrap() + ticks(13).unwrap()) / 100.0, of("VmRSS"), of("VmHWM")]
+    };
+    let directory = std::env::temp_dir();
+    simplify(&mesh, |done, complete| {
+        let workspace = Workspace::new(&directory, 0);
+        let (simplified, components) = spilled(done, &workspace);
+        let &InCore { lattice, has_colors, is_open, .. } = done;
+        let faces = done.removed_by.len() as u32;
+        let model = Model { lattice, has_colors, is_open, faces, components: &components };
+        std::fs::write("/proc/self/clear_refs", "5").unwrap();
+        let ([before, rss, _], start) = (usage(), std::time::Instant::now());
+        let mut shares = Vec::new();
+        let assembled = assemble(&model, simplified, &workspace, &mut |share| {
+            shares.push((share, start.elapsed().as_secs_f64()));
+        });
+        let assembled = assembled.unwrap();
+        let ids_done = shares.iter().rev().find(|(share, _)| *share <= 0.4).map_or(0.0, |x| x.1);
+        let [middle, ..] = usage();
+        let assemble_s = start.elapsed().as_secs_f64();
+        let mut out = std::io::BufWriter::with_capacity(1 << 18, tempfile::tempfile_in(&directory).unwrap());
+        let bytes = assembled.write(&complete, &Metadata::default(), &mut out, &mut |_| {}).unwrap();
+        let ([after, _, peak], total_s) = (usage(), start.elapsed().as_secs_f64());
+        println!(
+            "{} splits, {} spawns, {bytes} bytes; ids {ids_done:.2} s, assemble {assemble_s:.2} s wall {:.2} s cpu, \
+             write {:.2} s wall {:.2} s cpu, {:.0} MB over what was there",
+            assembled.outline.splits,
+            assembled.outline.spawns.len(),
+            middle - before,
+            total_s - assemble_s,
+            after - middle,
+            peak - rss,
+        );
     });
 }

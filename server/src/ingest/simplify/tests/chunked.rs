@@ -1,6 +1,6 @@
 //! Builds by way of chunks: a dull partition in memory, the real simplification, and assembly in memory.
 
-use super::super::{BuildOptions, PlacementChoice, batch::Mover, lattice, surface::Surface, tree};
+use super::super::{BuildOptions, PlacementChoice, lattice, surface::Surface, tree};
 use crate::ingest::chunks::{ChunkedMesh, Component, ComponentTable, VertexTable, height_of, pack, patches, place};
 use crate::ingest::hierarchy::{
     Collapse, NONE, Point, Simplified,
@@ -15,7 +15,7 @@ use crate::pack::record::Dag;
 
 /// Cuts a clean mesh into chunks of at most `max_faces` faces.
 pub(super) fn chunked(mesh: &TriMesh, max_faces: usize, workspace: &Workspace) -> ChunkedMesh {
-    let lattice = lattice::choose(mesh, BuildOptions::default().bits).unwrap();
+    let lattice = lattice::choose(mesh, BuildOptions::default().bits);
     let points = lattice::round(mesh, &lattice);
     let mut order: Vec<u32> = (0..points.len() as u32).collect();
     let mut is_used = vec![false; points.len()];
@@ -84,8 +84,7 @@ pub(super) fn chunked(mesh: &TriMesh, max_faces: usize, workspace: &Workspace) -
 pub(super) fn build(mesh: &TriMesh, max_faces: usize, threads: u32, placement: PlacementChoice) -> Dag {
     let workspace = Workspace::in_memory();
     let mesh = chunked(mesh, max_faces, &workspace);
-    let max_coordinate = mesh.lattice.max_coordinate();
-    let mover = placement.rule().map(|rule| Mover { rule, max_coordinate });
+    let mover = placement.mover(mesh.lattice.max_coordinate());
     let (simplified, _) = tree::simplify(&mesh, mover, &workspace, threads, &|_| {}).unwrap();
     in_core(&mesh, &simplified)
 }

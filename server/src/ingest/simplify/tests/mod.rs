@@ -2,16 +2,19 @@
 
 mod assembly;
 mod chunked;
+mod in_core;
 mod meshes;
 mod oracle;
 
 use std::path::Path;
 
+use self::in_core::build;
 use self::{
     meshes::*,
     oracle::{Replay, Vertex, parents, sorted},
 };
-use super::{BuildError, BuildOptions, BuildReport, PlacementChoice, build};
+use super::{BuildOptions, PlacementChoice, surface::SurfaceError};
+use crate::ingest::report::BuildReport;
 use crate::mesh::TriMesh;
 use crate::pack::record::{Bounds, CutRef, Dag, NO_OP};
 
@@ -20,7 +23,7 @@ fn run(mesh: &TriMesh) -> (Dag, BuildReport) {
 }
 
 fn run_with(mesh: &TriMesh, placement: PlacementChoice) -> (Dag, BuildReport) {
-    build(mesh, &BuildOptions { placement, ..BuildOptions::default() }, &mut |_| {}).unwrap()
+    build(mesh, &BuildOptions { placement, ..BuildOptions::default() }).unwrap()
 }
 
 /// Everything that must hold for any clean mesh, in all placements; returns what the default one made. `orders`: how many random
@@ -292,18 +295,12 @@ fn unclean_meshes_are_refused() {
     let refuse = |faces: &[[u32; 3]]| {
         let positions = (0..8).map(|i| [f64::from(i), f64::from(i * i), 0.0]).collect();
         let mesh = TriMesh { positions, faces: faces.to_vec(), colors: None };
-        build(&mesh, &BuildOptions::default(), &mut |_| {}).map(|_| ()).unwrap_err()
+        build(&mesh, &BuildOptions::default()).map(|_| ()).unwrap_err()
     };
-    assert_eq!(refuse(&[[0, 1, 1]]), BuildError::RepeatedCorner { face: 0 });
-    assert_eq!(refuse(&[[0, 1, 8]]), BuildError::NoSuchVertex { face: 0, vertex: 8 });
-    assert_eq!(refuse(&[[0, 1, 2], [0, 1, 3]]), BuildError::RepeatedEdge { from: 0, to: 1 });
-    assert_eq!(refuse(&[[0, 1, 2], [0, 3, 4]]), BuildError::SeveralFans { vertex: 0 });
-    let mesh = TriMesh { positions: vec![[f64::NAN; 3]], ..TriMesh::default() };
-    let error = build(&mesh, &BuildOptions::default(), &mut |_| {}).unwrap_err();
-    assert_eq!(error, BuildError::NotFinite { vertex: 0 });
-    let error =
-        build(&triangle(), &BuildOptions { bits: Some(22), ..BuildOptions::default() }, &mut |_| {}).unwrap_err();
-    assert_eq!(error, BuildError::Bits(22));
+    assert_eq!(refuse(&[[0, 1, 1]]), SurfaceError::RepeatedCorner { face: 0 });
+    assert_eq!(refuse(&[[0, 1, 8]]), SurfaceError::NoSuchVertex { face: 0, vertex: 8 });
+    assert_eq!(refuse(&[[0, 1, 2], [0, 1, 3]]), SurfaceError::RepeatedEdge { from: 0, to: 1 });
+    assert_eq!(refuse(&[[0, 1, 2], [0, 3, 4]]), SurfaceError::SeveralFans { vertex: 0 });
 }
 
 #[test]
@@ -326,7 +323,7 @@ fn real_meshes() -> impl Iterator<Item = (&'static str, TriMesh)> {
     names.into_iter().filter_map(move |name| {
         let path = Path::new(folder.as_ref()?).join(name).with_extension("ply");
         let mesh = path.exists().then(|| read_ply(&path))?;
-        match super::Surface::new(mesh.positions.len(), &mesh.faces) {
+        match super::surface::Surface::new(mesh.positions.len(), &mesh.faces) {
             Ok(_) => Some((name, mesh)),
             Err(error) => {
                 println!("{name}: passed over, {error}");

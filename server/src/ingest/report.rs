@@ -1,17 +1,17 @@
-//! What a build says about itself.
+//! What ingest says about itself.
 
 use serde::Serialize;
 
-/// Figures of one build. Lengths are in lattice steps.
+/// Figures of one model. Lengths are in lattice steps.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct BuildReport {
     /// Bits of the lattice per axis.
     pub bits: u8,
     /// Model units per lattice step.
     pub step: f64,
-    /// Vertices of the input, those without faces included.
+    /// Vertices of the cleaned mesh.
     pub vertices: usize,
-    /// Triangles of the input.
+    /// Triangles of the cleaned mesh.
     pub triangles: usize,
     /// Connected components.
     pub components: usize,
@@ -19,7 +19,9 @@ pub struct BuildReport {
     pub boundary_vertices: usize,
     /// Whether facing-away tests are off.
     pub is_open: bool,
-    /// Sweeps of the batched order.
+    /// Chunks that the mesh was cut into.
+    pub chunks: u32,
+    /// Sweeps of the batched order, over all chunks.
     pub sweeps: u32,
     /// Splits recorded.
     pub splits: usize,
@@ -52,34 +54,32 @@ pub struct BuildReport {
 /// Wall time by stage, in seconds.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct Timings {
-    /// Lattice, half-edges, components.
-    pub prepare: f64,
-    /// First quadrics, bounds and costs.
-    pub initialize: f64,
-    /// The passes.
+    /// Cleaning, lattice, chunks.
+    pub partition: f64,
+    /// Collapses.
     pub simplify: f64,
     /// Ids and records.
     pub assemble: f64,
-    /// All of it.
-    pub total: f64,
 }
 
-/// What a build is doing.
+/// What ingest is doing.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum BuildStage {
-    /// Lattice, half-edges, components.
-    Prepare,
+pub enum Stage {
+    /// Cleaning, lattice, chunks.
+    Partition,
     /// Collapsing.
     Simplify,
     /// Making records.
     Assemble,
+    /// Writing the pack.
+    Write,
 }
 
-/// How far a build is.
+/// How far ingest is.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct Progress {
     /// What it is doing.
-    pub stage: BuildStage,
+    pub stage: Stage,
     /// Share of that stage, 0 to 1.
     pub fraction: f32,
 }
