@@ -12,8 +12,8 @@
 //! 5. [`orient`] if faces disagree, [`trouble`] if something is not manifold: both see only what the survey found.
 //! 6. [`lattice`], [`finish`]: rounding, components, figures.
 //!
-//! In memory throughout are 4 bytes for each vertex of the input until the survey is done, then those of
-//! [`VertexTable`](super::chunks::VertexTable). The result does not depend on threads or on the memory that spills may use.
+//! In memory are 4 to 8 bytes for each vertex of the input until the survey is done (16 while near vertices are joined), then those
+//! of [`VertexTable`](super::chunks::VertexTable). The result does not depend on threads or on the memory that spills may use.
 
 mod bits;
 mod faces;
@@ -56,7 +56,8 @@ pub(crate) struct PartitionOptions {
     pub(crate) bits: Option<u8>,
     /// Vertices that are this close together, in model units, are joined, one after the other; 0 for none.
     pub(crate) weld_tolerance: f64,
-    limits: Limits,
+    /// Anything but the default is for tests.
+    pub(crate) limits: Limits,
 }
 
 impl PartitionOptions {
@@ -67,11 +68,11 @@ impl PartitionOptions {
 
 /// How much is in memory at once.
 #[derive(Clone, Copy, Debug)]
-struct Limits {
+pub(crate) struct Limits {
     /// Vertices that are sorted in memory.
-    vertices: u64,
+    pub(crate) vertices: u64,
     /// Faces of a chunk.
-    faces: usize,
+    pub(crate) faces: usize,
 }
 
 impl Default for Limits {

@@ -109,7 +109,7 @@ fn check_chunks(mesh: &ChunkedMesh, limits: Limits) {
     for (label, component) in (0..).zip(&mesh.components.components) {
         let members = || (0..faces.len()).filter(|&f| labels[f] == label);
         let chunk_of = |face: usize| mesh.chunk_starts.partition_point(|&start| start as usize <= face) as u32 - 1;
-        let height = height_of(chunk_of(members().next().unwrap()), chunk_of(members().last().unwrap()));
+        let height = height_of(chunk_of(members().next().unwrap()), chunk_of(members().next_back().unwrap()));
         let corners = members().flat_map(|f| faces[f]).map(|v| mesh.vertices.position(v));
         let low = corners.clone().reduce(|a, b| std::array::from_fn(|k| a[k].min(b[k]))).unwrap();
         let high = corners.reduce(|a, b| std::array::from_fn(|k| a[k].max(b[k]))).unwrap();
@@ -130,8 +130,11 @@ fn unchunked(mesh: &ChunkedMesh) -> TriMesh {
     }
 }
 
+/// Position and colour.
+type Corner = (u64, [u8; 3]);
+
 /// By component, its oriented triangles, by the positions and colours of their corners: sorted.
-fn shape(mesh: &TriMesh) -> Vec<Vec<[(u64, [u8; 3]); 3]>> {
+fn shape(mesh: &TriMesh) -> Vec<Vec<[Corner; 3]>> {
     let corner = |v: u32| {
         let p = mesh.positions[v as usize].map(|x| x as i32);
         (pack(p), mesh.colors.as_ref().map_or([0; 3], |colors| colors[v as usize]))
@@ -147,8 +150,8 @@ fn shape(mesh: &TriMesh) -> Vec<Vec<[(u64, [u8; 3]); 3]>> {
     parts
 }
 
-/// Position, colour, number of faces, sum of a face hash: what can be said of a vertex without its number.
-fn vertices(mesh: &TriMesh) -> Vec<(u64, [u8; 3], u32, bool)> {
+/// Position, colour, number of faces, whether on the boundary: what can be said of a vertex without its number.
+fn vertices(mesh: &TriMesh) -> Vec<(Corner, u32, bool)> {
     let mut faces = vec![0; mesh.positions.len()];
     mesh.faces.as_flattened().iter().for_each(|&v| faces[v as usize] += 1);
     let mut is_boundary = vec![false; mesh.positions.len()];
@@ -157,7 +160,7 @@ fn vertices(mesh: &TriMesh) -> Vec<(u64, [u8; 3], u32, bool)> {
         is_boundary[edge.high as usize] = true;
     }
     let color = |v: usize| mesh.colors.as_ref().map_or([0; 3], |colors| colors[v]);
-    let of = |v: usize| (pack(mesh.positions[v].map(|x| x as i32)), color(v), faces[v], is_boundary[v]);
+    let of = |v: usize| ((pack(mesh.positions[v].map(|x| x as i32)), color(v)), faces[v], is_boundary[v]);
     let mut vertices: Vec<_> = (0..mesh.positions.len()).map(of).collect();
     vertices.sort_unstable();
     vertices
