@@ -14,6 +14,7 @@ pub struct TestModel {
     pub model: Arc<PackedModel>,
     /// The cleaned input, in model units.
     pub clean: TriMesh,
+    pack: Arc<Vec<u8>>,
 }
 
 /// An oriented triangle by lattice positions, rotated to its smallest form.
@@ -34,8 +35,18 @@ impl TestModel {
         let (dag, _) = build(&clean, &options, &mut |_| {}).expect("the mesh is clean");
         let positions: Vec<[i32; 3]> = clean.positions.iter().map(|&p| dag.lattice.quantize(p)).collect();
         let complete = CompleteMesh::of(&positions, clean.colors.as_deref(), &clean.faces);
-        let bytes = write_to_vec(&dag, &complete, &Metadata::default()).expect("the model fits a pack");
-        Self { model: Arc::new(PackedModel::from_vec(bytes).expect("a pack just written opens")), clean }
+        let pack = Arc::new(write_to_vec(&dag, &complete, &Metadata::default()).expect("the model fits a pack"));
+        Self { model: open(&pack), clean, pack }
+    }
+
+    /// The model as one that was just opened: none of its pages has been read.
+    pub fn reopened(&self) -> Arc<PackedModel> {
+        open(&self.pack)
+    }
+
+    /// The pack.
+    pub fn pack(&self) -> &[u8] {
+        &self.pack
     }
 
     /// The complete mesh as a sorted multiset of lattice triangles.
@@ -46,4 +57,8 @@ impl TestModel {
         triangles.sort_unstable();
         triangles
     }
+}
+
+fn open(pack: &Arc<Vec<u8>>) -> Arc<PackedModel> {
+    Arc::new(PackedModel::open(pack.clone()).expect("a pack just written opens"))
 }

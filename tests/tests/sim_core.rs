@@ -9,10 +9,11 @@ use lodestream_protocol::message::ModelInfo;
 use lodestream_protocol::testing::check_replica;
 use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
 use lodestream_server::mesh::TriMesh;
+use lodestream_server::pack::PAGE_OPS;
 use lodestream_tests::meshes;
 use lodestream_tests::model::TestModel;
 use lodestream_tests::naive::{CompleteMesh, Walker, keyed, ops_for_view, parents, triangles};
-use lodestream_tests::sim::{LinkShape, Pair, PairConfig};
+use lodestream_tests::sim::{Disk, LinkShape, Pair, PairConfig};
 
 fn every_topology() -> Vec<(&'static str, TriMesh)> {
     vec![
@@ -144,6 +145,52 @@ fn sessions_settle_on_what_the_view_asks_for() {
                 }
             }
             check_replica(pair.client.replica().unwrap()).unwrap_or_else(|e| panic!("{name} {seed}: {e}"));
+        }
+    }
+}
+
+/// Where pages are read ahead, they may arrive in any order and at any time: what settles is P* all the same, and the session
+/// never read a page itself, which `Pair` asserts after each of its calls.
+#[test]
+fn the_order_in_which_pages_arrive_makes_no_difference() {
+    let many_pages = [
+        ("many components", meshes::many_components(2500, 3), None),
+        ("more noise", meshes::noisy_sphere(9000, 4), Some(14)),
+        ("more colours", meshes::colored_sphere(5), None),
+    ];
+    for (name, mesh, bits) in every_topology().into_iter().map(|(name, mesh)| (name, mesh, Some(13))).chain(many_pages)
+    {
+        let test = TestModel::new(mesh, bits);
+        for seed in 0..3 {
+            let mut rng = Rng::with_seed(200 + seed);
+            let latency = Duration::from_millis([0, 3, 40][seed as usize]);
+            let mut config = PairConfig { disk: Disk::Slow { seed, latency }, ..PairConfig::default() };
+            if seed == 1 {
+                config.down = LinkShape { bytes_per_sec: 200_000.0, latency: Duration::from_millis(20) };
+            }
+            let mut pair = Pair::new(test.reopened(), config);
+            for step in 0..5 {
+                let view = random_view(&mut rng, test.model.info());
+                pair.look(view.clone());
+                if rng.u8(0..3) == 0 {
+                    pair.run(Duration::from_millis(rng.u64(0..120)));
+                    continue;
+                }
+                pair.settle();
+                let what = format!("{name} seed {seed} step {step}");
+                let set: BTreeSet<u32> = pair.server.applied_ops().iter().map(|a| a.0).collect();
+                assert_eq!(set, ops_for_view(&test.model, &view), "{what}");
+                let (mirror, replica) = (pair.server.mirror().unwrap(), pair.client.replica().unwrap());
+                assert_eq!(mirror.digest(), replica.digest(), "{what}");
+                assert!(replica.triangle_count() <= view.triangle_limit, "{what}");
+            }
+            let mut view = random_view(&mut rng, test.model.info());
+            (view.complete, view.triangle_limit) = (true, UNLIMITED_TRIANGLES);
+            pair.look(view);
+            pair.settle();
+            assert_eq!(triangles(pair.client.replica().unwrap()), test.expected_triangles(), "{name} seed {seed}");
+            let pages = test.model.page_count() + test.model.spawn_count().div_ceil(PAGE_OPS);
+            assert_eq!(pair.pages_read(), pages, "{name} seed {seed}");
         }
     }
 }

@@ -2,9 +2,13 @@
 
 use serde::Serialize;
 
+use crate::pack::PackError;
 use crate::repository::{ModelState, Repository, RepositoryError};
 use crate::runtime::Core;
 use crate::session::{Session, SessionConfig};
+
+/// Pages of each kind that are read as a session opens: the first 2,048 spawns and splits, more than a first image has.
+const FIRST_PAGES: u32 = 8;
 
 /// One line of the list of models.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -114,7 +118,12 @@ impl Models for RepositoryModels {
             RepositoryError::NotFound(_) => unknown(),
             other => OpenError::Unusable { id: id.into(), reason: with_causes(&other) },
         })?;
-        Ok(Box::new(Session::new(model, self.session)))
+        // We may wait for the disk here, and the first picture then need not.
+        for page in model.first_pages(FIRST_PAGES) {
+            let unusable = |reason: PackError| OpenError::Unusable { id: id.into(), reason: reason.to_string() };
+            model.read_page(page).map_err(unusable)?;
+        }
+        Ok(Box::new(Session::reading_ahead(model, self.session)))
     }
 }
 

@@ -19,7 +19,7 @@ use tokio_tungstenite::{WebSocketStream, client_async};
 
 use super::*;
 use crate::runtime::Core;
-use crate::session::{SessionError, SessionStats};
+use crate::session::{SessionError, SessionStats, WantedPages};
 
 /// No test takes longer.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -48,6 +48,14 @@ impl Core for Echo {
 
     fn poll_timeout(&self) -> Option<Timestamp> {
         None
+    }
+
+    fn poll_wanted(&mut self) -> Option<WantedPages> {
+        None
+    }
+
+    fn handle_pages(&mut self) -> Result<(), SessionError> {
+        Ok(())
     }
 
     fn stats(&self) -> SessionStats {
@@ -95,6 +103,7 @@ impl Server {
             max_connections: 16,
             max_sessions: 4,
             compute_threads: NonZeroUsize::MIN,
+            reader_threads: NonZeroUsize::MIN,
             header_timeout: PATIENCE,
             ping_interval: PATIENCE,
             idle_timeout: PATIENCE,
@@ -318,7 +327,7 @@ async fn a_panic_ends_its_own_session_only() {
     let mut bad = server.connect().await;
     say(&mut bad, b"panic").await;
     assert_eq!(close_frame(&mut bad).await, (CloseCode::Internal as u16, "internal error".into()));
-    assert_eq!(server.app.pool.panics(), 1);
+    assert_eq!(server.app.workers.pool.panics(), 1);
     assert_echoes(&mut good).await;
     assert_echoes(&mut server.connect().await).await;
 }

@@ -29,6 +29,7 @@ pub use inspect::{Inspection, SectionSize, inspect};
 pub use layout::{PAGE_OPS, VERSION};
 pub use metadata::Metadata;
 pub use page::{Column, TestPage};
+pub use pages::PageId;
 pub use read::{PackedModel, SplitFields};
 pub use replay::{extract_complete, parents_first, replay};
 pub use verify::{VerifyReport, verify};

@@ -264,9 +264,10 @@ fn every_truncation_is_refused() {
 fn read_everything(bytes: &[u8]) {
     let Ok(model) = PackedModel::from_vec(bytes.to_vec()) else { return };
     for op in (0..model.op_count().min(2000) + 3).chain([NO_OP]) {
-        let _ = (model.bounds(op), model.children(op), model.split(op), model.parents(op), model.is_warm(op));
+        let _ = (model.bounds(op), model.children(op), model.split(op), model.parents(op));
         let _ = (model.spawn_patch(op), model.spawn_first_splits(op), model.spawn_triangles(op));
         let _ = (model.root_face(op), model.root_vertex(op), model.tests(op));
+        let _ = [PageId::Ops(op), PageId::Patches(op)].map(|page| (model.is_ready(page), model.read_page(page)));
     }
 }
 
@@ -395,11 +396,11 @@ fn unknown_sections_are_skipped_unless_required() {
 fn many_threads_may_use_a_model_first() {
     let (dag, _, bytes) = pack(&DagOptions { splits: 3000, ..DagOptions::default() });
     let model = PackedModel::from_vec(bytes).unwrap();
-    assert!(!model.is_warm(600));
+    assert!(!model.is_ready(PackedModel::page_of(600)));
     std::thread::scope(|scope| {
         for _ in 0..4 {
             scope.spawn(|| compare_splits(&model, &dag));
         }
     });
-    assert!(model.is_warm(600));
+    assert!(model.is_ready(PackedModel::page_of(600)));
 }

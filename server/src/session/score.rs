@@ -1,7 +1,7 @@
 //! How much an op matters to a view: pure functions of its visibility sphere.
 
 use glam::DVec3;
-use lodestream_protocol::quant::Lattice;
+use lodestream_protocol::message::ModelInfo;
 use lodestream_protocol::view::{Plane, Projection, View};
 
 use crate::pack::record::{Bounds, Cone};
@@ -24,6 +24,8 @@ pub struct Scorer {
     silhouette_factor: f64,
     complete: bool,
     threshold: f32,
+    /// Box of the complete mesh, in lattice steps.
+    model_box: [DVec3; 2],
 }
 
 /// Which way a cone of normals faces.
@@ -35,8 +37,9 @@ enum Facing {
 }
 
 impl Scorer {
-    /// Prepares a view of a model on `lattice`; `is_open` keeps what faces away.
-    pub fn new(view: &View, lattice: &Lattice, is_open: bool) -> Self {
+    /// Prepares a view of a model.
+    pub fn new(view: &View, model: &ModelInfo) -> Self {
+        let lattice = &model.lattice;
         let origin = DVec3::from_array(lattice.origin);
         let planes = view
             .planes()
@@ -60,10 +63,11 @@ impl Scorer {
             pixel_scale,
             near: (view.near / lattice.step).max(1e-6),
             parallel,
-            culls_facing_away: !(view.two_sided || is_open),
+            culls_facing_away: !(view.two_sided || model.is_open),
             silhouette_factor: f64::from(view.silhouette_factor),
             complete: view.complete,
             threshold: if view.complete { 0.0 } else { view.tolerance_px },
+            model_box: [model.box_min, model.box_max].map(|q| DVec3::from_array(q.map(f64::from))),
         }
     }
 
@@ -103,6 +107,22 @@ impl Scorer {
             pixels *= self.silhouette_factor;
         }
         pixels as f32
+    }
+
+    /// Not less than the priority of any spawn whose error is at most so many lattice steps: its centre lies in the model's box
+    /// and its radius is at most twice its error, which [`verify`](fn@crate::pack::verify) checks.
+    pub(crate) fn most_of_spawn(&self, error: f32) -> f32 {
+        if self.complete {
+            return error;
+        }
+        let mut pixels = f64::from(error) * self.pixel_scale * self.silhouette_factor.max(1.0);
+        if self.parallel.is_none() {
+            let [low, high] = self.model_box;
+            let distance = self.eye.distance(self.eye.clamp(low, high));
+            pixels /= (distance - 2.0 * f64::from(error)).max(self.near);
+        }
+        // The sums of `priority` are rounded in another order.
+        (pixels * (1.0 + 1e-6)) as f32
     }
 
     fn facing(&self, cone: &Cone, to_center: DVec3, distance: f64, radius: f64) -> Facing {

@@ -155,6 +155,8 @@ fn spawn_bounds(simplified: &InCore, component: u32, faces: &[u32], vertices: &[
             _ => Cone::ANY,
         };
     }
+    // Views stop judging spawns by their error alone, see `FORMAT.md`: large for its error, one would come too late.
+    bounds.error = bounds.error.max(bounds.radius);
     bounds
 }
 
