@@ -6,11 +6,14 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 
+mod growth;
+
 const USAGE: &str = "usage: cargo xtask <command>
 
   demo [args]   build everything and run `lodestream-server demo`: a sample model, ingested and served
   test          everything that has to pass: format, lints, tests, docs, browser build, fuzz smoke
   fuzz [secs]   mutate frames, batches and mesh files for so many seconds per target (default 20)
+  growth [n..]  ingest generated scans of so many triangles each and write docs/ingest-growth.md with a plot
   setup         install what the tests need on Debian (needs root)
 ";
 
@@ -22,6 +25,7 @@ fn main() -> ExitCode {
         "demo" => demo(&rest),
         "test" => test(),
         "fuzz" => fuzz(rest.first().map_or("20", String::as_str)),
+        "growth" => growth::growth(&rest),
         "setup" => setup(),
         _ => {
             eprint!("{USAGE}");

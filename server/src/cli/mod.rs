@@ -10,6 +10,7 @@ pub mod inspect;
 pub mod progress;
 pub mod sample;
 pub mod serve;
+mod usage;
 pub mod verify;
 
 use std::io::Write as _;

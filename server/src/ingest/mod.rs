@@ -4,6 +4,7 @@
 pub(crate) mod chunks;
 pub mod clean;
 pub mod hierarchy;
+mod in_order;
 #[allow(dead_code)]
 pub mod raw;
 pub mod read;

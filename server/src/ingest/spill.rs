@@ -158,14 +158,23 @@ impl<T: NoUninit + AnyBitPattern> Spill<T> {
     /// # Panics
     /// If the range is not within the sequence.
     pub(crate) fn read_into(&self, range: Range<u64>, out: &mut Vec<T>) -> Result<(), SpillError> {
-        assert!(range.start <= range.end && range.end <= self.len, "{range:?} of {} items", self.len);
         out.clear();
+        self.append_to(range, out)
+    }
+
+    /// Appends the items in `range` to `out`.
+    ///
+    /// # Panics
+    /// If the range is not within the sequence.
+    pub(crate) fn append_to(&self, range: Range<u64>, out: &mut Vec<T>) -> Result<(), SpillError> {
+        assert!(range.start <= range.end && range.end <= self.len, "{range:?} of {} items", self.len);
         match &self.items {
             Items::Memory(items) => out.extend_from_slice(&items[range.start as usize..range.end as usize]),
             Items::File(file, _) => {
-                out.resize((range.end - range.start) as usize, T::zeroed());
+                let before = out.len();
+                out.resize(before + (range.end - range.start) as usize, T::zeroed());
                 let at = range.start * size_of::<T>() as u64;
-                read_at(file, bytemuck::cast_slice_mut(out), at).map_err(|source| SpillError {
+                read_at(file, bytemuck::cast_slice_mut(&mut out[before..]), at).map_err(|source| SpillError {
                     what: "read",
                     directory: self.directory.clone(),
                     source,
@@ -254,6 +263,9 @@ mod tests {
             let spill = writer.finish().unwrap();
             assert_eq!(spill.len(), 300_000);
             assert_eq!(spill.read(250_000..300_000).unwrap(), items[250_000..]);
+            let mut pieces = spill.read(7..9).unwrap();
+            spill.append_to(100..102, &mut pieces).unwrap();
+            assert_eq!(pieces, [items[7], items[8], items[100], items[101]]);
             let mut all = Vec::new();
             spill
                 .for_each_block(|at, block| {

@@ -125,9 +125,9 @@ pub(super) const FLAG_OPEN: u32 = 4;
 /// One entry of the spawn table: numbers of the first root vertex and root face of a spawn. A last entry holds the totals.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
-pub(super) struct SpawnEntry {
-    pub(super) vertex: u32,
-    pub(super) face: u32,
+pub(crate) struct SpawnEntry {
+    pub(crate) vertex: u32,
+    pub(crate) face: u32,
 }
 
 /// Bytes before the column table of an op page: checksum (8), ops (2), columns (2), zero (4).

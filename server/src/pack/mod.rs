@@ -9,6 +9,7 @@ mod header;
 mod inspect;
 mod layout;
 mod metadata;
+mod outline;
 mod page;
 mod pages;
 pub mod place;
@@ -26,13 +27,18 @@ use std::sync::Arc;
 pub use cut::{CutError, resolve_cut};
 pub use hash::{CompleteMesh, complete_mesh_hash};
 pub use inspect::{Inspection, SectionSize, inspect};
+pub(crate) use layout::SpawnEntry;
 pub use layout::{PAGE_OPS, VERSION};
 pub use metadata::Metadata;
+#[allow(unused_imports)]
+pub(crate) use outline::{Outline, SplitSource};
 pub use page::{Column, TestPage};
 pub use pages::PageId;
 pub use read::{PackedModel, SplitFields};
 pub use replay::{extract_complete, parents_first, replay};
 pub use verify::{VerifyReport, verify};
+#[allow(unused_imports)]
+pub(crate) use write::write_splits;
 pub use write::{WriteError, write, write_to_vec};
 
 /// The bytes of a pack, in memory or mapped.

@@ -1,9 +1,12 @@
 //! Root vertices and faces: the base and the patches of spawns, in place.
 
+use std::ops::Range;
+
 use lodestream_protocol::limits::MAX_PATCH_ELEMENTS;
 use lodestream_protocol::mesh::Patch;
 
 use super::layout::{PAGE_OPS, SPAWN_PAGE_HEADER, SpawnEntry, align8, patch_bytes};
+use super::outline::Outline;
 use super::page::u32_at;
 use super::record::NO_OP;
 
@@ -55,7 +58,7 @@ impl<'a> PatchArrays<'a> {
     }
 
     /// Checks positions and first splits of all vertices; corners are checked with the manifold when a patch is used.
-    pub(super) fn check(&self, max_coordinate: i32, splits: &std::ops::Range<u32>) -> Result<(), String> {
+    pub(super) fn check(&self, max_coordinate: i32, splits: &Range<u32>) -> Result<(), String> {
         for v in 0..self.vertices {
             let position = self.position(v).ok_or("the bytes changed")?;
             if position.iter().any(|c| !(0..=max_coordinate).contains(c)) {
@@ -134,27 +137,19 @@ pub(super) fn spawn_page_bytes(vertices: u64, faces: u64, has_colors: bool) -> u
 }
 
 /// First spawn and one past the last of a page.
-pub(super) fn spawns_of_page(page: u32, spawns: u32) -> std::ops::Range<u32> {
+pub(super) fn spawns_of_page(page: u32, spawns: u32) -> Range<u32> {
     let first = page * PAGE_OPS;
     first..spawns.min(first.saturating_add(PAGE_OPS))
 }
 
-/// Appends the arrays of patches one after the other, padded to the grid.
-pub(super) fn put_patches(patches: &[&super::record::Patch], has_colors: bool, out: &mut Vec<u8>) {
+/// Appends the arrays of some root vertices and faces, padded to the grid.
+pub(super) fn put_patches(outline: &Outline, vertices: Range<usize>, faces: Range<usize>, out: &mut Vec<u8>) {
     let begin = out.len();
-    for patch in patches {
-        out.extend_from_slice(bytemuck::cast_slice(&patch.positions));
-    }
-    for patch in patches {
-        out.extend_from_slice(bytemuck::cast_slice(&patch.faces));
-    }
-    for patch in patches {
-        out.extend_from_slice(bytemuck::cast_slice(&patch.first_splits));
-    }
-    if has_colors {
-        for patch in patches {
-            out.extend_from_slice(bytemuck::cast_slice(&patch.colors));
-        }
+    out.extend_from_slice(bytemuck::cast_slice(&outline.positions[vertices.clone()]));
+    out.extend_from_slice(bytemuck::cast_slice(&outline.faces[faces]));
+    out.extend_from_slice(bytemuck::cast_slice(&outline.first_splits[vertices.clone()]));
+    if outline.has_colors {
+        out.extend_from_slice(bytemuck::cast_slice(&outline.colors[vertices]));
     }
     out.resize(begin + align8(out.len() - begin), 0);
 }

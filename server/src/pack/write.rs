@@ -1,19 +1,26 @@
 //! Writing a pack: sections one after the other, then the header.
 
+use std::error::Error;
 use std::io::{self, Cursor, Seek, SeekFrom, Write};
+use std::ops::Range;
 
 use lodestream_protocol::limits::MAX_PATCH_ELEMENTS;
+use rayon::prelude::*;
 use xxhash_rust::xxh3::{Xxh3, xxh3_64};
 
 use super::hash::CompleteMesh;
 use super::layout::{
     FLAG_COLORS, FLAG_MOVES, FLAG_OPEN, FileHeader, MAGIC, MAX_METADATA_BYTES, ModelFields, PAGE_OPS, SECTION_REQUIRED,
-    SPAWN_PAGE_HEADER, Section, SectionEntry, SpawnEntry, VERSION, tag,
+    SPAWN_PAGE_HEADER, Section, SectionEntry, VERSION, tag,
 };
 use super::metadata::Metadata;
+use super::outline::{Outline, SplitSource, WholeDag};
 use super::page::{PageBuilder, PageContext, PageView, seal};
-use super::record::{Bounds, CutRef, Dag, NO_OP, Patch, SplitRecord};
+use super::record::{Bounds, CutRef, Dag, NO_OP, SplitRecord};
 use super::spawns::{PatchArrays, put_patches, spawns_of_page};
+
+/// Pages that are encoded before they are written: some megabytes.
+const PAGES_AT_ONCE: u32 = 512;
 
 /// Why no pack was written.
 #[derive(Debug, thiserror::Error)]
@@ -25,16 +32,19 @@ pub enum WriteError {
     /// The bytes could not be written.
     #[error("cannot write the pack")]
     Io(#[from] io::Error),
+    /// The splits could not be had, for example from temporary data.
+    #[error(transparent)]
+    Source(Box<dyn Error + Send + Sync>),
 }
 
-fn invalid(reason: impl Into<String>) -> WriteError {
+pub(super) fn invalid(reason: impl Into<String>) -> WriteError {
     WriteError::Invalid(reason.into())
 }
 
-/// Writes `dag` and returns the length of the pack. The same arguments give the same bytes.
+/// Writes `dag` and returns the length of the pack. The same arguments give the same bytes, on any number of threads.
 ///
-/// `complete` describes the cleaned input on its lattice, before simplification. Holds one page in memory besides the
-/// directory (8 bytes per 256 ops); `out` is left at the end of the pack and should be buffered.
+/// `complete` describes the cleaned input on its lattice, before simplification. `out` is left at the end of the pack and
+/// should be buffered. Pages are encoded in the caller's pool of threads.
 ///
 /// # Errors
 /// [`WriteError::Invalid`] for everything that a reader would refuse at a page's first use; what only a replay can tell is
@@ -45,28 +55,45 @@ pub fn write(
     metadata: &Metadata,
     out: &mut (impl Write + Seek),
 ) -> Result<u64, WriteError> {
-    let context = check(dag, complete)?;
+    write_splits(&Outline::of(dag)?, &mut WholeDag::new(dag), complete, metadata, out)
+}
+
+/// [`write`](fn@write) for a model whose splits are nowhere together. Holds some pages besides the outline, a stretch of
+/// splits and the directory (8 bytes per 256 ops).
+///
+/// # Errors
+/// As there, and what the source says.
+pub(crate) fn write_splits(
+    outline: &Outline,
+    splits: &mut impl SplitSource,
+    complete: &CompleteMesh,
+    metadata: &Metadata,
+    out: &mut (impl Write + Seek),
+) -> Result<u64, WriteError> {
+    let context = check(outline, complete)?;
     metadata.check().map_err(invalid)?;
     let mut sections = Sections::begin(out)?;
 
-    sections.put(Section::Model, bytemuck::bytes_of(&model_fields(dag, complete, &context)))?;
+    sections.put(Section::Model, bytemuck::bytes_of(&model_fields(outline, complete, &context)))?;
     let json = serde_json::to_vec(metadata).map_err(|e| invalid(e.to_string()))?;
     if json.len() as u64 > MAX_METADATA_BYTES {
         return Err(invalid("the metadata are too long"));
     }
     sections.put(Section::Metadata, &json)?;
-    sections.put(Section::Base, &patch_section(&[&dag.base], &context, 0)?)?;
-    sections.put(Section::SpawnTable, bytemuck::cast_slice(&spawn_table(dag)))?;
+    sections.put(Section::Base, &patch_section(outline, None, &context)?)?;
+    sections.put(Section::SpawnTable, bytemuck::cast_slice(&outline.starts))?;
 
-    let spawn_page = |page: u32| {
-        let range = spawns_of_page(page, context.spawns);
-        let patches: Vec<&Patch> = range.map(|i| &dag.spawns[i as usize].patch).collect();
-        let mut bytes = patch_section(&patches, &context, SPAWN_PAGE_HEADER)?;
+    let mut pages = PageStream::default();
+    for page in 0..context.spawns.div_ceil(PAGE_OPS) {
+        let mut bytes = patch_section(outline, Some(spawns_of_page(page, context.spawns)), &context)?;
         seal(&mut bytes, page);
-        Ok(bytes)
-    };
-    sections.put_pages(Section::SpawnPages, Section::SpawnDirectory, context.spawns, spawn_page)?;
-    sections.put_pages(Section::OpPages, Section::OpDirectory, context.ops, |page| op_page(dag, &context, page))?;
+        pages.put(sections.out, &bytes)?;
+    }
+    sections.end_pages(pages, Section::SpawnPages, Section::SpawnDirectory)?;
+
+    let mut pages = PageStream::default();
+    put_op_pages(outline, &context, splits, &mut |bytes| pages.put(sections.out, bytes))?;
+    sections.end_pages(pages, Section::OpPages, Section::OpDirectory)?;
     sections.finish()
 }
 
@@ -80,92 +107,77 @@ pub fn write_to_vec(dag: &Dag, complete: &CompleteMesh, metadata: &Metadata) -> 
     Ok(out.into_inner())
 }
 
-/// Checks what the encoded form cannot express.
-fn check(dag: &Dag, complete: &CompleteMesh) -> Result<PageContext, WriteError> {
-    let spawns = u32::try_from(dag.spawns.len()).map_err(|_| invalid("too many spawns"))?;
-    let ops = u32::try_from(dag.spawns.len() + dag.splits.len()).ok().filter(|&n| n != NO_OP);
+/// Checks what the encoded form cannot express, all but the splits.
+fn check(outline: &Outline, complete: &CompleteMesh) -> Result<PageContext, WriteError> {
+    let spawns = u32::try_from(outline.spawns.len()).map_err(|_| invalid("too many spawns"))?;
+    let ops = spawns.checked_add(outline.splits).filter(|&n| n != NO_OP);
     let ops = ops.ok_or_else(|| invalid("too many ops"))?;
-    if !dag.lattice.is_valid() {
+    if !outline.lattice.is_valid() {
         return Err(invalid("no lattice"));
     }
-    let (mut root_vertices, mut root_faces) = (0u64, 0u64);
-    for (i, patch) in std::iter::once(&dag.base).chain(dag.spawns.iter().map(|s| &s.patch)).enumerate() {
-        let vertices = patch.positions.len();
-        if patch.colors.len() != vertices || patch.first_splits.len() != vertices {
-            return Err(invalid(format!("patch {i} has arrays of different lengths")));
-        }
-        if vertices.max(patch.faces.len()) > MAX_PATCH_ELEMENTS as usize || i > 0 && patch.faces.is_empty() {
+    for i in 0..=outline.spawns.len() {
+        let (vertices, faces) = outline.patch(i.checked_sub(1).map(|spawn| spawn as u32));
+        if vertices.len().max(faces.len()) > MAX_PATCH_ELEMENTS as usize || i > 0 && faces.is_empty() {
             return Err(invalid(format!("patch {i} is empty or too large")));
         }
-        if patch.faces.iter().flatten().any(|&v| v as usize >= vertices) {
+        if outline.faces[faces].iter().flatten().any(|&v| v as usize >= vertices.len()) {
             return Err(invalid(format!("a corner of patch {i} is out of range")));
         }
-        if !dag.has_colors && patch.colors.iter().any(|&c| c != [0; 3]) {
+        if !outline.has_colors && outline.colors[vertices].iter().any(|&c| c != [0; 3]) {
             return Err(invalid(format!("patch {i} has colours, the model has none")));
         }
-        root_vertices += vertices as u64;
-        root_faces += patch.faces.len() as u64;
     }
-    if let Some(i) = dag.spawns.windows(2).position(|w| w[0].bounds.error < w[1].bounds.error) {
+    if let Some(i) = outline.spawns.windows(2).position(|w| w[0].error < w[1].error) {
         return Err(invalid(format!("spawn {} has a larger error than the one before it", i + 1)));
     }
-    let starts = spawn_table(dag);
-    for (i, split) in dag.splits.iter().enumerate() {
-        check_tree(split, spawns, dag.base.positions.len(), &starts).map_err(|e| invalid(format!("split {i}: {e}")))?;
-        if !dag.has_colors && (split.color != [0; 3] || split.s_color_move != [0; 3]) {
-            return Err(invalid(format!("split {i} has a colour, the model has none")));
-        }
-    }
-    let max = dag.lattice.max_coordinate();
+    let max = outline.lattice.max_coordinate();
     if complete.box_min.iter().chain(&complete.box_max).any(|c| !(0..=max).contains(c)) {
         return Err(invalid("the box is off the lattice"));
     }
-    let narrow = |n: u64| u32::try_from(n).map_err(|_| invalid("too many root elements"));
+    let narrow = |n: usize| u32::try_from(n).map_err(|_| invalid("too many root elements"));
     Ok(PageContext {
         ops,
         spawns,
-        root_vertices: narrow(root_vertices)?,
-        root_faces: narrow(root_faces)?,
+        root_vertices: narrow(outline.positions.len())?,
+        root_faces: narrow(outline.faces.len())?,
         max_coordinate: max,
-        has_colors: dag.has_colors,
-        has_moves: dag.splits.iter().any(|s| s.s_move != [0; 3] || s.s_color_move != [0; 3]),
+        has_colors: outline.has_colors,
+        has_moves: outline.has_moves,
     })
 }
 
-/// A tree parent that is no split is stored as the root vertex alone: the two must agree.
-fn check_tree(split: &SplitRecord, spawns: u32, base: usize, starts: &[SpawnEntry]) -> Result<(), &'static str> {
-    let parent = split.tree_parent;
+/// What of a split the encoded form cannot express. A tree parent that is no split is stored as the root vertex alone: the
+/// two must agree.
+fn check_split(split: &SplitRecord, outline: &Outline) -> Result<(), &'static str> {
+    let (parent, starts) = (split.tree_parent, &outline.starts);
     let fits = if parent == NO_OP {
-        (split.s as usize) < base
-    } else if parent < spawns {
+        split.s < starts[0].vertex
+    } else if (parent as usize) < outline.spawns.len() {
         (starts[parent as usize].vertex..starts[parent as usize + 1].vertex).contains(&split.s)
     } else {
         split.s < 2
     };
-    if fits { Ok(()) } else { Err("`s` does not fit the tree parent") }
-}
-
-fn spawn_table(dag: &Dag) -> Vec<SpawnEntry> {
-    let mut at = SpawnEntry { vertex: dag.base.positions.len() as u32, face: dag.base.faces.len() as u32 };
-    let mut table = vec![at];
-    for spawn in &dag.spawns {
-        // Overflow is refused by `check`, which counts in 64 bits.
-        at.vertex = at.vertex.wrapping_add(spawn.patch.positions.len() as u32);
-        at.face = at.face.wrapping_add(spawn.patch.faces.len() as u32);
-        table.push(at);
+    if !fits {
+        return Err("`s` does not fit the tree parent");
     }
-    table
+    if !outline.has_colors && (split.color != [0; 3] || split.s_color_move != [0; 3]) {
+        return Err("it has a colour, the model has none");
+    }
+    if !outline.has_moves && (split.s_move != [0; 3] || split.s_color_move != [0; 3]) {
+        return Err("it moves `s`, the model has no moves");
+    }
+    Ok(())
 }
 
-fn model_fields(dag: &Dag, complete: &CompleteMesh, context: &PageContext) -> ModelFields {
+fn model_fields(outline: &Outline, complete: &CompleteMesh, context: &PageContext) -> ModelFields {
     let flag = |on: bool, flag: u32| if on { flag } else { 0 };
     ModelFields {
-        origin: dag.lattice.origin,
-        step: dag.lattice.step,
-        bits: dag.lattice.bits.into(),
+        origin: outline.lattice.origin,
+        step: outline.lattice.step,
+        bits: outline.lattice.bits.into(),
         flags: flag(context.has_colors, FLAG_COLORS)
             | flag(context.has_moves, FLAG_MOVES)
-            | flag(dag.is_open, FLAG_OPEN),
+            | flag(outline.is_open, FLAG_OPEN),
         box_min: complete.box_min,
         box_max: complete.box_max,
         hash: complete.hash.0,
@@ -173,34 +185,85 @@ fn model_fields(dag: &Dag, complete: &CompleteMesh, context: &PageContext) -> Mo
         triangles: complete.triangles,
         spawns: context.spawns,
         ops: context.ops,
-        base_vertices: dag.base.positions.len() as u32,
-        base_faces: dag.base.faces.len() as u32,
+        base_vertices: outline.starts[0].vertex,
+        base_faces: outline.starts[0].face,
     }
 }
 
-/// Arrays of patches after so many bytes of header, checked as a reader does.
-fn patch_section(patches: &[&Patch], context: &PageContext, header: usize) -> Result<Vec<u8>, WriteError> {
+/// Arrays of the patches of some spawns after a page's header, or of the base without one; checked as a reader does.
+fn patch_section(outline: &Outline, spawns: Option<Range<u32>>, context: &PageContext) -> Result<Vec<u8>, WriteError> {
+    let header = if spawns.is_some() { SPAWN_PAGE_HEADER } else { 0 };
+    let (vertices, faces) = match spawns {
+        Some(spawns) => outline.patches(spawns),
+        None => outline.patch(None),
+    };
     let mut bytes = vec![0; header];
-    put_patches(patches, context.has_colors, &mut bytes);
-    let vertices = patches.iter().map(|p| p.positions.len() as u32).sum();
-    let faces = patches.iter().map(|p| p.faces.len() as u32).sum();
-    let arrays = PatchArrays::new(&bytes[header..], vertices, faces, context.has_colors);
+    let numbers = (vertices.len() as u32, faces.len() as u32);
+    put_patches(outline, vertices, faces, &mut bytes);
+    let arrays = PatchArrays::new(&bytes[header..], numbers.0, numbers.1, context.has_colors);
     let arrays = arrays.expect("the arrays were written with these numbers");
     arrays.check(context.max_coordinate, &(context.spawns..context.ops)).map_err(invalid)?;
     Ok(bytes)
 }
 
-/// One page of ops, checked as a reader does.
-fn op_page(dag: &Dag, context: &PageContext, page: u32) -> Result<Vec<u8>, WriteError> {
-    let (first, ops, spawns) = context.rows(page);
-    let mut builder = PageBuilder::new(ops, context.columns());
-    let bounds = |op: u32| -> &Bounds {
-        match op.checked_sub(context.spawns) {
-            Some(split) => &dag.splits[split as usize].bounds,
-            None => &dag.spawns[op as usize].bounds,
-        }
+/// Encodes all op pages, some at once, and hands them on in order.
+fn put_op_pages(
+    outline: &Outline,
+    context: &PageContext,
+    source: &mut impl SplitSource,
+    put: &mut impl FnMut(&[u8]) -> Result<(), WriteError>,
+) -> Result<(), WriteError> {
+    let splits_of = |page: u32| {
+        let (first, ops, _) = context.rows(page);
+        first.saturating_sub(context.spawns)..(first + ops as u32).saturating_sub(context.spawns)
     };
-    let tests = (first..first + ops as u32).map(bounds);
+    let pages = context.ops.div_ceil(PAGE_OPS);
+    let mut page = 0;
+    let mut stretch = 0..0;
+    while page < pages {
+        let mut end = page;
+        while end < pages && end - page < PAGES_AT_ONCE && splits_of(end).end <= stretch.end {
+            end += 1;
+        }
+        if end == page {
+            if splits_of(page).start != stretch.end {
+                return Err(invalid(format!("a stretch of splits ends within page {page}")));
+            }
+            let more = source.advance()?;
+            if more == 0 {
+                return Err(invalid(format!("there are {} of {} splits", stretch.end, outline.splits)));
+            }
+            stretch = stretch.end..stretch.end.checked_add(more).ok_or_else(|| invalid("too many splits"))?;
+            continue;
+        }
+        let ready = &*source;
+        let encoded: Vec<Result<Vec<u8>, WriteError>> = (page..end)
+            .into_par_iter()
+            .map_init(Vec::new, |splits, page| {
+                let range = splits_of(page);
+                splits.clear();
+                ready.read(range.start - stretch.start..range.end - stretch.start, splits);
+                op_page(outline, context, page, splits)
+            })
+            .collect();
+        for bytes in encoded {
+            put(&bytes?)?;
+        }
+        page = end;
+    }
+    Ok(())
+}
+
+/// One page of ops, checked as a reader does.
+fn op_page(outline: &Outline, context: &PageContext, page: u32, splits: &[SplitRecord]) -> Result<Vec<u8>, WriteError> {
+    let (first, ops, spawns) = context.rows(page);
+    let begin = first.saturating_sub(context.spawns);
+    for (i, split) in (begin..).zip(splits) {
+        check_split(split, outline).map_err(|e| invalid(format!("split {i}: {e}")))?;
+    }
+    let mut builder = PageBuilder::new(ops, context.columns());
+    let own_spawns: &[Bounds] = if spawns > 0 { &outline.spawns[first as usize..][..spawns] } else { &[] };
+    let tests = own_spawns.iter().chain(splits.iter().map(|split| &split.bounds));
     for k in 0..3 {
         builder.push(tests.clone().map(|b| b.center[k].into()));
     }
@@ -211,8 +274,6 @@ fn op_page(dag: &Dag, context: &PageContext, page: u32) -> Result<Vec<u8>, Write
     }
     builder.push(tests.map(|b| b.cone.half_angle.into()));
 
-    let begin = (first + spawns as u32 - context.spawns.min(first + spawns as u32)) as usize;
-    let splits = &dag.splits[begin..begin + ops - spawns];
     builder.push(splits.iter().map(|s| tags(s, context.spawns).into()));
     builder.push(or_smallest(splits.iter().map(|s| Some(s.next_of_s).filter(|&c| c != NO_OP)).collect()));
     builder.push(or_smallest(splits.iter().map(|s| Some(s.first_of_t).filter(|&c| c != NO_OP)).collect()));
@@ -314,25 +375,11 @@ impl<'a, W: Write + Seek> Sections<'a, W> {
         Ok(())
     }
 
-    fn put_pages(
-        &mut self,
-        section: Section,
-        directory: Section,
-        items: u32,
-        mut page: impl FnMut(u32) -> Result<Vec<u8>, WriteError>,
-    ) -> Result<(), WriteError> {
-        let mut offsets = vec![0u64];
-        let mut bytes = 0;
-        let mut hasher = Xxh3::new();
-        for number in 0..items.div_ceil(PAGE_OPS) {
-            let page = page(number)?;
-            self.out.write_all(&page)?;
-            hasher.update(&page);
-            bytes += page.len() as u64;
-            offsets.push(bytes);
-        }
-        self.close(section, bytes, hasher.digest())?;
-        self.put(directory, bytemuck::cast_slice(&offsets))
+    /// Enters the pages that were written into `out` since the last section, and their directory.
+    fn end_pages(&mut self, pages: PageStream, section: Section, directory: Section) -> Result<(), WriteError> {
+        let bytes = pages.offsets.last().copied().unwrap_or_default();
+        self.close(section, bytes, pages.hasher.digest())?;
+        self.put(directory, bytemuck::cast_slice(&pages.offsets))
     }
 
     fn finish(self) -> Result<u64, WriteError> {
@@ -345,5 +392,27 @@ impl<'a, W: Write + Seek> Sections<'a, W> {
         self.out.write_all(table)?;
         self.out.seek(SeekFrom::Start(self.begin + self.at))?;
         Ok(self.at)
+    }
+}
+
+/// Pages on their way into a section.
+struct PageStream {
+    /// Where each page begins, and where the next one will.
+    offsets: Vec<u64>,
+    hasher: Xxh3,
+}
+
+impl Default for PageStream {
+    fn default() -> Self {
+        Self { offsets: vec![0], hasher: Xxh3::new() }
+    }
+}
+
+impl PageStream {
+    fn put(&mut self, out: &mut impl Write, page: &[u8]) -> Result<(), WriteError> {
+        out.write_all(page)?;
+        self.hasher.update(page);
+        self.offsets.push(self.offsets[self.offsets.len() - 1] + page.len() as u64);
+        Ok(())
     }
 }

@@ -4,13 +4,15 @@
 //! stored spheres of its children, so it contains them as decoded; since it is not made from the children's rounded
 //! spheres alone, rounding does not pile up along the forest (Southern 2001, section 5.1.1).
 
+use bytemuck::{Pod, Zeroable};
 use glam::DVec3;
 
 use super::NONE;
 use crate::pack::record::{Bounds, Cone, Magnitude, WideCone};
 
 /// A sphere in lattice steps.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[repr(C)]
 pub(crate) struct Sphere {
     pub(crate) center: DVec3,
     pub(crate) radius: f64,
@@ -34,7 +36,7 @@ impl Sphere {
     }
 
     /// Smallest sphere around two.
-    fn union(self, other: Self) -> Self {
+    pub(crate) fn union(self, other: Self) -> Self {
         let between = other.center - self.center;
         let distance = between.length();
         if distance + other.radius <= self.radius {
@@ -185,6 +187,14 @@ impl Carried {
         Self { sphere: Sphere::around(ring), normals: Normals::of_units(units), last: NONE, stored }
     }
 
+    /// An original vertex, from two parts of its surroundings.
+    pub(crate) fn joined(&self, other: &Self) -> Self {
+        debug_assert!(self.last == NONE && other.last == NONE);
+        let Sphere { center, radius } = self.sphere.union(other.sphere);
+        let sphere = Sphere { center, radius: radius * ROUNDING };
+        Self { sphere, normals: self.normals.union(other.normals), ..self.clone() }
+    }
+
     /// Bounds of the last collapse, as stored.
     pub(crate) fn child(&self) -> Option<&Bounds> {
         (self.last != NONE).then_some(&self.stored)
@@ -240,6 +250,34 @@ fn store_cone(normals: Normals, children: impl Iterator<Item = Cone>) -> Cone {
         }
     }
     best
+}
+
+/// Bounds of a whole component in this box, as stored: they contain those of the last collapses of its root vertices, which
+/// come with all normals of what became part of them. Its error is the diagonal of its box: without it, that much is missing.
+pub(crate) fn whole_component(
+    (low, high): (DVec3, DVec3),
+    face_normals: &[DVec3],
+    vertices: &[(Normals, Option<Bounds>)],
+) -> Bounds {
+    let center = (low + high) * 0.5;
+    let mut normals = Normals::Nothing;
+    normals.add(face_normals);
+    for &(carried, _) in vertices {
+        normals = normals.union(carried);
+    }
+    let sphere = Sphere { center, radius: center.distance(high) };
+    let mut bounds = store(sphere, normals, low.distance(high), &[]);
+    for child in vertices.iter().filter_map(|(_, child)| child.as_ref()) {
+        bounds.radius = bounds.radius.max(Magnitude::encode_up(child.reach_from(bounds.center_f64())));
+        bounds.error = bounds.error.max(child.error);
+        bounds.cone = match (bounds.cone.wide(), child.cone.wide()) {
+            (Some(own), Some(part)) => Cone::cover_about(bounds.cone.axis, &[own, part]),
+            _ => Cone::ANY,
+        };
+    }
+    // Views stop judging spawns by their error alone, see `FORMAT.md`: large for its error, one would come too late.
+    bounds.error = bounds.error.max(bounds.radius);
+    bounds
 }
 
 /// Merges what `t` carries into what `s` carries. `ring` is the one-ring of `t` before the collapse, `normals` those of the

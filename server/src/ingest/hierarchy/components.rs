@@ -65,23 +65,30 @@ impl Components {
         low.distance(high)
     }
 
-    /// Splits the components into base and spawns, both by diagonal descending, then by number. `triangles` is what is left of
-    /// each component after simplification.
+    /// See [`base_and_spawns`].
     pub(crate) fn base_and_spawns(&self, triangles: &[usize]) -> (Vec<u32>, Vec<u32>) {
-        let mut order: Vec<u32> = (0..self.count() as u32).collect();
-        order.sort_by(|&a, &b| self.diagonal(b).total_cmp(&self.diagonal(a)).then(a.cmp(&b)));
-        let Some(&largest) = order.first() else { return (Vec::new(), Vec::new()) };
-        let least = self.diagonal(largest) * MIN_BASE_DIAGONAL;
-        let mut total = 0;
-        order.into_iter().partition(|&component| {
-            let grown = total + triangles[component as usize];
-            let belongs = component == largest || (self.diagonal(component) >= least && grown <= MAX_BASE_TRIANGLES);
-            if belongs {
-                total = grown;
-            }
-            belongs
-        })
+        let diagonals: Vec<f64> = (0..self.count() as u32).map(|component| self.diagonal(component)).collect();
+        base_and_spawns(&diagonals, triangles)
     }
+}
+
+/// Splits components into base and spawns, both by diagonal descending, then by number. `triangles` is what is left of each
+/// after simplification.
+pub(crate) fn base_and_spawns(diagonals: &[f64], triangles: &[usize]) -> (Vec<u32>, Vec<u32>) {
+    let diagonal = |component: u32| diagonals[component as usize];
+    let mut order: Vec<u32> = (0..diagonals.len() as u32).collect();
+    order.sort_by(|&a, &b| diagonal(b).total_cmp(&diagonal(a)).then(a.cmp(&b)));
+    let Some(&largest) = order.first() else { return (Vec::new(), Vec::new()) };
+    let least = diagonal(largest) * MIN_BASE_DIAGONAL;
+    let mut total = 0;
+    order.into_iter().partition(|&component| {
+        let grown = total + triangles[component as usize];
+        let belongs = component == largest || (diagonal(component) >= least && grown <= MAX_BASE_TRIANGLES);
+        if belongs {
+            total = grown;
+        }
+        belongs
+    })
 }
 
 fn root(up: &mut [u32], mut v: u32) -> u32 {

@@ -194,6 +194,11 @@ struct Block {
     samples: [Point; MAX_SAMPLES],
 }
 
+impl Block {
+    const EMPTY: Self =
+        Self { count: 0, samples: [Point { position: [0; 3], color: [0; 3], is_boundary: false }; MAX_SAMPLES] };
+}
+
 impl Samples {
     pub(crate) fn new(vertex_count: usize, has_colors: bool) -> Self {
         Self {
@@ -244,7 +249,19 @@ impl Samples {
         Deviation { distance: if distance > enough { distance } else { 0.0 }, color: worst_color * 2.0 * reach.sqrt() }
     }
 
-    fn of(&self, v: u32) -> &[Point] {
+    /// Gives samples, at most as many as [`Samples::of`] ever shows, to a vertex that has none.
+    pub(crate) fn give(&mut self, v: u32, samples: &[Point]) {
+        if !samples.is_empty() {
+            let mut block = Block::EMPTY;
+            block.samples[..samples.len()].copy_from_slice(samples);
+            block.count = samples.len() as u32;
+            self.block_of[v as usize] = self.blocks.len() as u32;
+            self.blocks.push(block);
+        }
+    }
+
+    /// The samples of a vertex.
+    pub(crate) fn of(&self, v: u32) -> &[Point] {
         match self.blocks.get(self.block_of[v as usize] as usize) {
             Some(block) => &block.samples[..block.count as usize],
             None => &[],
@@ -262,8 +279,7 @@ impl Samples {
         }
         let index = *slot as usize;
         if index == self.blocks.len() {
-            let nowhere = Point { position: [0; 3], color: [0; 3], is_boundary: false };
-            self.blocks.push(Block { count: 0, samples: [nowhere; MAX_SAMPLES] });
+            self.blocks.push(Block::EMPTY);
         }
         &mut self.blocks[index]
     }

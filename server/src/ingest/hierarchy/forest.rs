@@ -2,12 +2,15 @@
 
 use lodestream_protocol::quant::Lattice;
 
+pub(crate) use super::order::morton;
 use super::{
     Collapse, NONE, Point,
-    bounds::{Carried, Normals, Sphere, store},
+    assembly::Shape,
+    bounds::{Carried, whole_component},
     components::Components,
+    order::error_band,
 };
-use crate::pack::record::{Bounds, Cone, CutRef, Dag, Magnitude, NO_OP, Patch, SpawnRecord, SplitRecord};
+use crate::pack::record::{Bounds, CutRef, Dag, NO_OP, Patch, SpawnRecord, SplitRecord};
 
 /// A finished simplification.
 #[derive(Debug)]
@@ -25,17 +28,6 @@ pub(crate) struct InCore<'a> {
     pub(crate) carried: &'a [Carried],
     /// Per face, the number of the collapse that removed it, or [`NONE`].
     pub(crate) removed_by: &'a [u32],
-}
-
-/// Figures about a finished DAG.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Shape {
-    /// Ops on the longest chain of parents.
-    pub(crate) depth: u32,
-    /// Splits by number of distinct parents, 0 to 3.
-    pub(crate) parents: [u64; 4],
-    /// Components in the base.
-    pub(crate) base_components: usize,
 }
 
 /// Builds the records. O(n log n) in the collapses, for their final order.
@@ -129,10 +121,7 @@ impl Roots {
     }
 }
 
-/// Bounds of a whole component. Its error is the diagonal of its box: without it, that much is missing.
 fn spawn_bounds(simplified: &InCore, component: u32, faces: &[u32], vertices: &[u32]) -> Bounds {
-    let (low, high) = simplified.components.boxes[component as usize];
-    let center = (low + high) * 0.5;
     let face_normals: Vec<_> = faces
         .iter()
         .map(|&i| {
@@ -140,24 +129,12 @@ fn spawn_bounds(simplified: &InCore, component: u32, faces: &[u32], vertices: &[
             (b - a).cross(c - a)
         })
         .collect();
-    let mut normals = Normals::Nothing;
-    normals.add(&face_normals);
-    for &v in vertices {
-        normals = normals.union(simplified.carried[v as usize].normals);
-    }
-    let sphere = Sphere { center, radius: center.distance(high) };
-    let mut bounds = store(sphere, normals, low.distance(high), &[]);
-    for child in vertices.iter().filter_map(|&v| simplified.carried[v as usize].child()) {
-        bounds.radius = bounds.radius.max(Magnitude::encode_up(child.reach_from(bounds.center_f64())));
-        bounds.error = bounds.error.max(child.error);
-        bounds.cone = match (bounds.cone.wide(), child.cone.wide()) {
-            (Some(own), Some(part)) => Cone::cover_about(bounds.cone.axis, &[own, part]),
-            _ => Cone::ANY,
-        };
-    }
-    // Views stop judging spawns by their error alone, see `FORMAT.md`: large for its error, one would come too late.
-    bounds.error = bounds.error.max(bounds.radius);
-    bounds
+    let vertices: Vec<_> = vertices
+        .iter()
+        .map(|&v| &simplified.carried[v as usize])
+        .map(|carried| (carried.normals, carried.child().copied()))
+        .collect();
+    whole_component(simplified.components.boxes[component as usize], &face_normals, &vertices)
 }
 
 /// The vertex forest over the collapses.
@@ -200,24 +177,6 @@ impl Tree {
         keys.sort_unstable();
         keys.into_iter().map(|(.., op)| u32::MAX - op).collect()
     }
-}
-
-/// Errors within a factor of 4 of each other, by two steps of the exponent; 0 holds the errors of zero.
-fn error_band(error: Magnitude) -> u8 {
-    if error.0 == 0 { 0 } else { 1 + ((error.0 - 1) >> 12) as u8 }
-}
-
-/// Interleaved bits of a lattice point, 21 per axis; clamped to `0 ..= max`.
-pub(crate) fn morton(at: [i32; 3], max: i32) -> u64 {
-    let spread = |x: i32| {
-        let mut x = u64::from(x.clamp(0, max) as u32);
-        x = (x | x << 32) & 0x001f_0000_0000_ffff;
-        x = (x | x << 16) & 0x001f_0000_ff00_00ff;
-        x = (x | x << 8) & 0x100f_00f0_0f00_f00f;
-        x = (x | x << 4) & 0x10c3_0c30_c30c_30c3;
-        (x | x << 2) & 0x1249_2492_4924_9249
-    };
-    spread(at[0]) | spread(at[1]) << 1 | spread(at[2]) << 2
 }
 
 struct Converter<'a> {
@@ -344,25 +303,4 @@ type Cut = [u32; 2];
 fn cuts(collapse: &Collapse) -> [Cut; 2] {
     let [fn0, fn1, fn2, fn3] = collapse.outer;
     [[fn0, fn1], [fn3, fn2]]
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn morton_interleaves_and_clamps() {
-        assert_eq!(morton([1, 0, 0], 7), 1);
-        assert_eq!(morton([0, 1, 3], 7), 0b100_110);
-        assert_eq!(morton([-5, 99, 0], 7), morton([0, 7, 0], 7));
-        assert_eq!(morton([0x1f_ffff; 3], 0x1f_ffff), (1 << 63) - 1);
-    }
-
-    #[test]
-    fn bands_hold_a_factor_of_four() {
-        let band = |x: f64| error_band(Magnitude::encode_up(x));
-        assert_eq!(band(0.0), 0);
-        assert!(band(1.0) > 0);
-        assert_eq!(band(4.1) + 1, band(16.5));
-    }
 }

@@ -4,10 +4,13 @@
 //! Knows points, collapses and root faces; how collapses are found and ordered is the business of
 //! [`simplify`](super::simplify), which calls this module and is never called by it. Start at [`forest`].
 
+#[allow(dead_code)]
+pub(crate) mod assembly;
 pub(crate) mod bounds;
 pub(crate) mod components;
 pub(crate) mod deviation;
 pub(crate) mod forest;
+pub(crate) mod order;
 
 use bytemuck::{Pod, Zeroable};
 use glam::DVec3;

@@ -45,6 +45,10 @@ const PASSES_PER_SWEEP: u32 = 4;
 pub(crate) struct Simplifier<'a> {
     pub(crate) surface: Surface,
     pub(crate) points: &'a [Point],
+    /// Per vertex, whether it takes part in no collapse: some of its faces are elsewhere.
+    is_locked: &'a [bool],
+    /// Number of the first collapse.
+    first_op: u32,
     pub(crate) collapses: Vec<Collapse>,
     pub(crate) carried: Vec<Carried>,
     /// Per face, the collapse that removed it, or [`NONE`].
@@ -55,8 +59,8 @@ pub(crate) struct Simplifier<'a> {
     passes: u32,
     /// Sum over all collapses of the valence of `s` afterwards.
     pub(crate) valence_sum: u64,
-    quadrics: Vec<Quadric>,
-    samples: Samples,
+    pub(crate) quadrics: Vec<Quadric>,
+    pub(crate) samples: Samples,
     /// Key per half-edge.
     keys: Vec<u32>,
     /// Pass in which a half-edge was last found illegal.
@@ -84,14 +88,37 @@ enum Outcome {
     Postponed(u32),
 }
 
+/// What the vertices of a surface bring along.
+pub(crate) struct State {
+    pub(crate) quadrics: Vec<Quadric>,
+    pub(crate) carried: Vec<Carried>,
+    pub(crate) samples: Samples,
+}
+
+impl State {
+    /// Of a complete mesh, or a part of it.
+    pub(crate) fn of_originals(surface: &Surface, points: &[Point], has_colors: bool) -> Self {
+        let mut quadrics = quadric::of_faces(surface, points);
+        quadric::add_borders(&mut quadrics, surface, points, |_, _| true);
+        Self { quadrics, carried: originals(surface, points), samples: Samples::new(points.len(), has_colors) }
+    }
+}
+
 impl<'a> Simplifier<'a> {
-    /// O(vertices + faces).
-    pub(crate) fn new(surface: Surface, points: &'a [Point], has_colors: bool) -> Self {
+    /// All three slices have an entry per vertex. Collapses are numbered from `first_op` on. O(vertices + faces).
+    pub(crate) fn new(
+        surface: Surface,
+        points: &'a [Point],
+        is_locked: &'a [bool],
+        state: State,
+        first_op: u32,
+    ) -> Self {
         let vertices = surface.vertex_count();
-        let quadrics = quadric::initial(&surface, points);
-        let carried = originals(&surface, points);
+        let State { quadrics, carried, samples } = state;
         let mut simplifier = Self {
             points,
+            is_locked,
+            first_op,
             collapses: Vec::with_capacity(vertices),
             carried,
             removed_by: vec![NONE; surface.face_count()],
@@ -99,7 +126,7 @@ impl<'a> Simplifier<'a> {
             passes: 0,
             valence_sum: 0,
             quadrics,
-            samples: Samples::new(vertices, has_colors),
+            samples,
             keys: vec![NO_KEY; 3 * surface.face_count()],
             blocked_in: vec![0; 3 * surface.face_count()],
             changed_in: vec![0; vertices],
@@ -118,9 +145,14 @@ impl<'a> Simplifier<'a> {
         simplifier
     }
 
+    /// Works on these faces from now on, ascending. No edge has one of them on one side and another face on the other.
+    pub(crate) fn turn_to(&mut self, faces: Vec<u32>) {
+        self.live_faces = faces;
+    }
+
     /// Collapses until no collapse is legal in any stage. `progress` hears the share of the faces that are gone.
     pub(crate) fn run(&mut self, progress: &mut dyn FnMut(f32)) {
-        let faces = self.removed_by.len().max(1) as f32;
+        let faces = self.live_faces.len().max(1) as f32;
         for stage in &STAGES {
             while self.sweep(stage) {
                 progress(1.0 - self.live_faces.len() as f32 / faces);
@@ -128,6 +160,20 @@ impl<'a> Simplifier<'a> {
             self.renew_all_keys();
         }
         self.live_faces.retain(|&f| self.removed_by[f as usize] == NONE);
+    }
+
+    /// Collapses in the first stage until at most `target` faces are left or nothing is legal in it. `progress` hears how many
+    /// are left.
+    pub(crate) fn run_down_to(&mut self, target: usize, progress: &mut dyn FnMut(usize)) {
+        while self.live_faces.len() > target && self.sweep(&STAGES[0]) {
+            self.live_faces.retain(|&f| self.removed_by[f as usize] == NONE);
+            progress(self.live_faces.len());
+        }
+    }
+
+    /// Whether a face is still there.
+    pub(crate) fn is_live(&self, face: u32) -> bool {
+        self.removed_by[face as usize] == NONE
     }
 
     /// Faces that are left, ascending.
@@ -289,6 +335,9 @@ impl<'a> Simplifier<'a> {
     /// Key of the cheaper direction of an edge. A direction that takes a boundary vertex inside is no choice.
     fn edge_key(&self, h: u32) -> u32 {
         let (a, b) = (self.surface.origin(h), self.surface.target(h));
+        if self.is_locked[a as usize] || self.is_locked[b as usize] {
+            return NO_KEY;
+        }
         let is_inner = self.surface.twin(h).is_some();
         let may_go = |v: u32| !(is_inner && self.points[v as usize].is_boundary);
         let [keep_a, keep_b] = self.costs(a, b);
@@ -304,7 +353,7 @@ impl<'a> Simplifier<'a> {
     /// Collapses a legal site, which `examined` describes. O(valence), allocates only to grow.
     fn collapse(&mut self, site: Site) {
         let Site { s, t, left, right } = site;
-        let op = self.collapses.len() as u32;
+        let op = self.first_op + self.collapses.len() as u32;
         let points = self.points;
         let Self { surface, ring, normals, examined, carried, .. } = self;
         ring.clear();
@@ -392,8 +441,8 @@ fn face_normal(surface: &Surface, points: &[Point], face: u32) -> DVec3 {
     (b - a).cross(c - a)
 }
 
-/// What the vertices of the complete mesh carry: their one-rings.
-fn originals(surface: &Surface, points: &[Point]) -> Vec<Carried> {
+/// What the vertices of the complete mesh carry: their one-rings, as far as they are here.
+pub(crate) fn originals(surface: &Surface, points: &[Point]) -> Vec<Carried> {
     let units: Vec<DVec3> = (0..surface.face_count() as u32)
         .map(|face| {
             let normal = face_normal(surface, points, face);
@@ -403,14 +452,41 @@ fn originals(surface: &Surface, points: &[Point]) -> Vec<Carried> {
         .collect();
     let mut ring = Vec::new();
     let mut normals = Vec::new();
-    (0..surface.vertex_count() as u32)
+    // Where some faces of a vertex are elsewhere, those that are here may be several fans.
+    let mut scattered = Vec::new();
+    let mut carried: Vec<Carried> = (0..surface.vertex_count() as u32)
         .map(|v| {
             ring.clear();
             normals.clear();
             ring.push(points[v as usize].at());
+            let mut faces = 0;
+            for h in surface.spokes(v) {
+                normals.extend(Some(units[h as usize / 3]).filter(|&unit| unit != DVec3::ZERO));
+                faces += 1;
+            }
+            if faces < surface.valence(v) {
+                scattered.push(v);
+            }
             surface.for_each_neighbor(v, |n| ring.push(points[n as usize].at()));
-            normals.extend(surface.spokes(v).map(|h| units[h as usize / 3]).filter(|&unit| unit != DVec3::ZERO));
             Carried::new(&ring, &normals)
         })
-        .collect()
+        .collect();
+    if scattered.is_empty() {
+        return carried;
+    }
+    let mut corners: Vec<(u32, u32)> = (0..surface.face_count() as u32)
+        .flat_map(|face| surface.corners(face).map(|v| (v, face)))
+        .filter(|(v, _)| scattered.binary_search(v).is_ok())
+        .collect();
+    corners.sort_unstable();
+    for star in corners.chunk_by(|a, b| a.0 == b.0) {
+        ring.clear();
+        normals.clear();
+        for &(_, face) in star {
+            ring.extend(surface.corners(face).map(|v| points[v as usize].at()));
+            normals.extend(Some(units[face as usize]).filter(|&unit| unit != DVec3::ZERO));
+        }
+        carried[star[0].0 as usize] = Carried::new(&ring, &normals);
+    }
+    carried
 }

@@ -11,18 +11,24 @@ mod batch;
 mod constraint;
 mod lattice;
 mod order;
+mod part;
 mod quadric;
 mod report;
 mod surface;
 #[cfg(test)]
 mod tests;
+#[allow(dead_code)]
+mod tree;
 
 use std::time::Instant;
 
 use lodestream_protocol::quant::{MAX_LATTICE_BITS, MIN_LATTICE_BITS};
 
 pub use self::report::{BuildReport, BuildStage, Progress, Timings};
-use self::{batch::Simplifier, surface::Surface};
+use self::{
+    batch::{Simplifier, State},
+    surface::Surface,
+};
 use super::hierarchy::{
     Point,
     components::Components,
@@ -133,7 +139,9 @@ pub fn build(
 
     tell(BuildStage::Simplify, 0.0);
     let has_colors = mesh.colors.is_some();
-    let mut simplifier = Simplifier::new(surface, &points, has_colors);
+    let is_locked = vec![false; points.len()];
+    let state = State::of_originals(&surface, &points, has_colors);
+    let mut simplifier = Simplifier::new(surface, &points, &is_locked, state, 0);
     timings.initialize = started.elapsed().as_secs_f64() - timings.prepare;
     simplifier.run(&mut |fraction| tell(BuildStage::Simplify, fraction));
     let simplified_at = started.elapsed().as_secs_f64();

@@ -1,5 +1,6 @@
 //! Area-weighted error quadrics (Garland and Heckbert 1997) and the cost of an edge.
 
+use bytemuck::{Pod, Zeroable};
 use glam::DVec3;
 
 use super::surface::{Surface, next, prev};
@@ -16,7 +17,8 @@ const TIE_BREAK: f64 = 1e-12;
 ///
 /// Relative to the vertex, because the constant term of an absolute quadric on a 21-bit lattice cancels catastrophically. It
 /// also makes evaluation at the vertex itself a single read, and half-edge collapses evaluate nowhere else.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+#[repr(C)]
 pub(crate) struct Quadric {
     /// Upper triangle of the matrix: xx, xy, xz, yy, yz, zz.
     a: [f64; 6],
@@ -67,38 +69,50 @@ impl Quadric {
     }
 }
 
-/// The quadrics of the complete mesh: each face gives a third of its area to each corner, each boundary edge a plane at right
-/// angles to its face to both ends. O(faces).
-pub(crate) fn initial(surface: &Surface, points: &[Point]) -> Vec<Quadric> {
+/// The quadrics of the faces of an original mesh: each gives a third of its area to each corner. O(faces).
+pub(crate) fn of_faces(surface: &Surface, points: &[Point]) -> Vec<Quadric> {
     let mut quadrics = vec![Quadric::default(); surface.vertex_count()];
     for face in 0..surface.face_count() as u32 {
         let corners = surface.corners(face);
         let [a, b, c] = corners.map(|v| points[v as usize].at());
         let normal = (b - a).cross(c - a);
         let length = normal.length();
-        if length == 0.0 {
-            continue;
-        }
-        let unit = normal / length;
-        for v in corners {
-            quadrics[v as usize].add_plane(unit, length / 6.0);
-        }
-        for h in 3 * face..3 * face + 3 {
-            if surface.twin(h).is_some() {
-                continue;
-            }
-            let ends = [surface.origin(h), surface.target(h)];
-            let along = points[ends[1] as usize].at() - points[ends[0] as usize].at();
-            let side = along.cross(unit);
-            let side_length = side.length();
-            if side_length > 0.0 {
-                for v in ends {
-                    quadrics[v as usize].add_plane(side / side_length, BOUNDARY_WEIGHT * along.length_squared());
-                }
+        if length > 0.0 {
+            for v in corners {
+                quadrics[v as usize].add_plane(normal / length, length / 6.0);
             }
         }
     }
     quadrics
+}
+
+/// Adds borders of the original mesh: each boundary edge gives a plane at right angles to its face to both ends, if `is_border`
+/// says so of them. O(faces).
+pub(crate) fn add_borders(
+    quadrics: &mut [Quadric],
+    surface: &Surface,
+    points: &[Point],
+    is_border: impl Fn(u32, u32) -> bool,
+) {
+    for h in 0..3 * surface.face_count() as u32 {
+        if surface.twin(h).is_some() {
+            continue;
+        }
+        let ends = [surface.origin(h), surface.target(h)];
+        if !is_border(ends[0], ends[1]) {
+            continue;
+        }
+        let [a, b, c] = surface.corners(h / 3).map(|v| points[v as usize].at());
+        let normal = (b - a).cross(c - a);
+        let along = points[ends[1] as usize].at() - points[ends[0] as usize].at();
+        let side = along.cross(normal);
+        let length = side.length();
+        if length > 0.0 {
+            for v in ends {
+                quadrics[v as usize].add_plane(side / length, BOUNDARY_WEIGHT * along.length_squared());
+            }
+        }
+    }
 }
 
 /// Costs of an edge in both directions: keeping `a`, and keeping `b`; in lattice steps to the fourth (squared distance times

@@ -38,6 +38,18 @@ pub(crate) struct Surface {
 impl Surface {
     /// Builds the structure and checks what [`BuildError`] lists. O(faces + vertices) for any valence.
     pub(crate) fn new(vertex_count: usize, faces: &[[u32; 3]]) -> Result<Self, BuildError> {
+        let surface = Self::of_part(vertex_count, faces)?;
+        for v in 0..vertex_count as u32 {
+            if surface.spokes(v).count() != surface.valence(v) as usize {
+                return Err(BuildError::SeveralFans { vertex: v });
+            }
+        }
+        Ok(surface)
+    }
+
+    /// The same for a part of a mesh: where some faces of a vertex are missing, those that are there may be several fans, of
+    /// which [`Surface::spokes`] then shows one.
+    pub(crate) fn of_part(vertex_count: usize, faces: &[[u32; 3]]) -> Result<Self, BuildError> {
         check_indices(vertex_count, faces)?;
         let mut valences = vec![0u32; vertex_count];
         for &v in faces.iter().flatten() {
@@ -82,13 +94,7 @@ impl Surface {
                 outs[v as usize] = h as u32;
             }
         }
-        let surface = Self { origins, twins, outs, valences };
-        for v in 0..vertex_count as u32 {
-            if surface.spokes(v).count() != surface.valence(v) as usize {
-                return Err(BuildError::SeveralFans { vertex: v });
-            }
-        }
-        Ok(surface)
+        Ok(Self { origins, twins, outs, valences })
     }
 
     pub(crate) fn vertex_count(&self) -> usize {

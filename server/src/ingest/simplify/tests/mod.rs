@@ -1,5 +1,7 @@
 //! Properties of whole builds. [`oracle`] replays the records independently, [`meshes`] makes the inputs.
 
+mod assembly;
+mod chunked;
 mod meshes;
 mod oracle;
 
@@ -20,9 +22,22 @@ fn run(mesh: &TriMesh) -> (Dag, BuildReport) {
 /// Everything that must hold for any clean mesh. `orders`: how many random legal orders to replay.
 fn check(name: &str, mesh: &TriMesh, orders: u64) -> (Dag, BuildReport) {
     let (dag, report) = run(mesh);
+    assert_eq!(report.splits, dag.splits.len(), "{name}");
+    check_dag(name, mesh, &dag, orders);
+    for max_faces in [mesh.faces.len() / 3 + 1, 40] {
+        // Small chunks make sense of small meshes only.
+        if max_faces > 1000 || mesh.faces.len() < 20_000 {
+            let chunked = chunked::build(mesh, max_faces, 1);
+            check_dag(&format!("{name} in chunks of {max_faces}"), mesh, &chunked, orders.min(2));
+            assert!(chunked == chunked::build(mesh, max_faces, 3), "{name}: threads make a difference");
+        }
+    }
+    (dag, report)
+}
+
+fn check_dag(name: &str, mesh: &TriMesh, dag: &Dag, orders: u64) {
     let spawns = dag.spawns.len();
     let splits = || (spawns as u32..).zip(&dag.splits);
-    assert_eq!(report.splits, dag.splits.len(), "{name}");
 
     // Ids, parents and stored monotonicity.
     let bounds = |op: u32| -> &Bounds {
@@ -32,7 +47,7 @@ fn check(name: &str, mesh: &TriMesh, orders: u64) -> (Dag, BuildReport) {
         }
     };
     assert!(dag.spawns.windows(2).all(|w| w[0].bounds.error >= w[1].bounds.error), "{name}");
-    let all_parents: Vec<Vec<u32>> = dag.splits.iter().map(|split| parents(&dag, split)).collect();
+    let all_parents: Vec<Vec<u32>> = dag.splits.iter().map(|split| parents(dag, split)).collect();
     let mut with_tree_parent = 0;
     for ((op, split), parents) in splits().zip(&all_parents) {
         assert!(parents.len() <= 3, "{name}: op {op}");
@@ -67,10 +82,10 @@ fn check(name: &str, mesh: &TriMesh, orders: u64) -> (Dag, BuildReport) {
     }));
     for seed in 0..orders {
         let order = legal_order(spawns as u32, &all_parents, seed);
-        let mut replay = Replay::roots(&dag);
+        let mut replay = Replay::roots(dag);
         let half = order.len() / 2;
         for (i, &op) in order.iter().enumerate() {
-            replay.split(&dag, op);
+            replay.split(dag, op);
             if i == half {
                 replay.check_twins();
             }
@@ -78,10 +93,9 @@ fn check(name: &str, mesh: &TriMesh, orders: u64) -> (Dag, BuildReport) {
         replay.check_twins();
         assert!(replay.triangles() == expected, "{name}: order {seed} does not give the input back");
         if seed == 0 {
-            contains_regions(name, &dag, &replay);
+            contains_regions(name, dag, &replay);
         }
     }
-    (dag, report)
 }
 
 /// The complete mesh around both ends of a split lies in its sphere, and the normals there in its cone.
@@ -333,5 +347,15 @@ fn figures_of_real_meshes() {
         );
         let rate = mesh.faces.len() as f64 / seconds * 1e-6;
         println!("{name}: {seconds:.3} s, {rate:.3} M tri/s; {}", serde_json::to_string(&report).unwrap());
+        for max_faces in [mesh.faces.len() / 4 + 1, mesh.faces.len() / 32 + 1] {
+            let before = cpu();
+            let chunked = chunked::build(&mesh, max_faces, 1);
+            let seconds = cpu() - before;
+            let over = [1e-2, 1e-3, 3e-4, 1e-4].map(|share| {
+                chunked.splits.iter().filter(|s| f64::from(s.bounds.error.decode()) > share * extent).count()
+            });
+            let base = chunked.base.faces.len();
+            println!("{name} in chunks of {max_faces}: {seconds:.3} s, over {over:?}, base {base}");
+        }
     }
 }
