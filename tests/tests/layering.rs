@@ -140,11 +140,28 @@ const SERVER: Layers<'static> = &[
     ("ingest", &["mesh", "pack"]),
     ("repository", &["mesh", "pack"]),
     ("session", &["mesh", "pack"]),
+    ("judge", &["mesh", "pack", "session"]),
+    ("picture", &["mesh", "pack", "session"]),
     ("runtime", &["pack", "session"]),
     ("http", &["pack", "repository", "runtime", "session"]),
     ("telemetry", &[]),
     ("config", &["http", "runtime", "session", "telemetry"]),
-    ("cli", &["config", "http", "ingest", "mesh", "pack", "repository", "runtime", "session", "telemetry"]),
+    (
+        "cli",
+        &[
+            "config",
+            "http",
+            "ingest",
+            "judge",
+            "mesh",
+            "pack",
+            "picture",
+            "repository",
+            "runtime",
+            "session",
+            "telemetry",
+        ],
+    ),
 ];
 
 const CLIENT: Layers<'static> =

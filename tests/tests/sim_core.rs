@@ -10,6 +10,7 @@ use lodestream_protocol::testing::check_replica;
 use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
 use lodestream_server::mesh::TriMesh;
 use lodestream_server::pack::PAGE_OPS;
+use lodestream_server::session::score::Scorer;
 use lodestream_tests::meshes;
 use lodestream_tests::model::TestModel;
 use lodestream_tests::naive::{CompleteMesh, Walker, keyed, ops_for_view, parents, triangles};
@@ -154,7 +155,7 @@ fn sessions_settle_on_what_the_view_asks_for() {
 #[test]
 fn the_order_in_which_pages_arrive_makes_no_difference() {
     let many_pages = [
-        ("many components", meshes::many_components(2500, 3), None),
+        ("debris", meshes::debris(2000, 3), None),
         ("more noise", meshes::noisy_sphere(9000, 4), Some(14)),
         ("more colours", meshes::colored_sphere(5), None),
     ];
@@ -191,6 +192,54 @@ fn the_order_in_which_pages_arrive_makes_no_difference() {
             assert_eq!(triangles(pair.client.replica().unwrap()), test.expected_triangles(), "{name} seed {seed}");
             let pages = test.model.page_count() + test.model.spawn_count().div_ceil(PAGE_OPS);
             assert_eq!(pair.pages_read(), pages, "{name} seed {seed}");
+        }
+    }
+}
+
+/// Components appear in the order of how large they look: cut where one batch ends and the next begins, the spawns of a view by
+/// priority, all judged and sorted, are those that arrived, batch by batch. None of the batches is much larger than allowed.
+#[test]
+fn components_arrive_by_their_size_on_screen() {
+    let test = TestModel::new(meshes::debris(1500, 5), None);
+    let model = &test.model;
+    assert_eq!(model.spawn_count(), 1500);
+    for disk in [Disk::Instant, Disk::Slow { seed: 1, latency: Duration::ZERO }] {
+        for (tolerance, limit) in [(2.0, UNLIMITED_TRIANGLES), (0.5, UNLIMITED_TRIANGLES), (0.5, 4000)] {
+            let slow = LinkShape { bytes_per_sec: 20_000.0, latency: Duration::from_millis(20) };
+            let config = PairConfig { down: slow, up: slow, disk, ..PairConfig::default() };
+            let mut pair = Pair::new(test.reopened(), config);
+            pair.keep_frames();
+            let mut view = View::perspective(DVec3::new(3.0, 2.0, 9.0), DVec3::ZERO, 0.8);
+            (view.near, view.tolerance_px, view.triangle_limit) = (1e-3, tolerance, limit);
+            pair.look(view.clone());
+            let mut arrived: Vec<BTreeSet<u32>> = Vec::new();
+            let mut before = BTreeSet::new();
+            while pair.client.settled().is_none() {
+                assert!(pair.step(Duration::from_millis(5)), "it settles sooner or later");
+                let spawned = |&(op, _): &(u32, u32)| (op < model.spawn_count()).then_some(op);
+                let now: BTreeSet<u32> = pair.server.applied_ops().iter().filter_map(spawned).collect();
+                assert!(before.is_subset(&now), "nothing that came goes again");
+                arrived.extend(Some(&now - &before).filter(|new| !new.is_empty()));
+                before = now;
+            }
+            let wanted = ops_for_view(model, &view);
+            let scorer = Scorer::new(&view, model.info());
+            let priority = |op: u32| scorer.priority(&model.bounds(op).unwrap());
+            let mut expected: Vec<u32> = wanted.into_iter().filter(|&op| op < model.spawn_count()).collect();
+            expected.sort_by(|&a, &b| priority(b).total_cmp(&priority(a)).then(a.cmp(&b)));
+            assert!(arrived.len() > 4, "{} batches", arrived.len());
+            assert_eq!(arrived.iter().map(BTreeSet::len).sum::<usize>(), expected.len());
+            if let Disk::Instant = disk {
+                let mut rest = &expected[..];
+                for batch in &arrived {
+                    let (first, others) = rest.split_at(batch.len());
+                    assert_eq!(batch, &first.iter().copied().collect());
+                    rest = others;
+                }
+            }
+            let [frames, _] = pair.kept_frames();
+            let longest = frames.iter().map(Vec::len).max().unwrap_or_default();
+            assert!(longest < 6000, "a frame of {longest} bytes on a link with a window of 16 KB");
         }
     }
 }

@@ -14,6 +14,7 @@ use crate::ingest::simplify::{BuildOptions, BuildStage, Progress};
 use crate::ingest::{DEFAULT_CREASE_ANGLE_DEG, ingest};
 use crate::mesh::TriMesh;
 use crate::pack::{self, Metadata};
+use crate::picture;
 use crate::repository::{ModelId, Repository};
 
 /// Turn mesh files into models of a repository.
@@ -134,7 +135,12 @@ pub(super) fn publish(
         fields.remove("timings");
     }
     let metadata = Metadata { clean_report: serde_json::to_value(&done.cleaned)?, build_report: built, ..metadata };
-    let bytes = repository.publish(id, |out| pack::write(&done.dag, &done.complete, &metadata, out))?;
+    let metadata = Metadata { leaves_room_for_thumbnail: true, ..metadata };
+    let bytes = repository.publish_with_thumbnail::<_, anyhow::Error>(
+        id,
+        |out| Ok(pack::write(&done.dag, &done.complete, &metadata, out)?),
+        |model| Ok(picture::thumbnail(model)?),
+    )?;
     Ok(Published { id: id.clone(), cleaned: done.cleaned, built: done.built, bytes })
 }
 

@@ -9,6 +9,7 @@ pub mod ingest;
 pub mod inspect;
 pub mod progress;
 pub mod sample;
+pub mod screen_error;
 pub mod serve;
 mod usage;
 pub mod verify;
@@ -33,6 +34,7 @@ enum Command {
     Inspect(inspect::InspectArgs),
     Verify(verify::VerifyArgs),
     Export(export::ExportArgs),
+    ScreenError(screen_error::ScreenErrorArgs),
     Sample(sample::SampleArgs),
     Demo(demo::DemoArgs),
 }
@@ -55,6 +57,7 @@ pub fn main() -> ExitCode {
         Command::Inspect(args) => inspect::run(args),
         Command::Verify(args) => verify::run(args),
         Command::Export(args) => export::run(args),
+        Command::ScreenError(args) => screen_error::run(args),
         Command::Sample(args) => sample::run(args),
         Command::Demo(args) => demo::run(args),
     };

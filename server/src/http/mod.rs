@@ -81,6 +81,7 @@ fn router(app: Arc<App>) -> Router {
         .route("/models", get(catalogue::list))
         .route("/models/{id}", get(catalogue::model))
         .route("/models/{id}/stream", get(ws::stream))
+        .route("/models/{id}/thumbnail", get(catalogue::thumbnail))
         .route("/healthz", get(health::alive))
         .route("/readyz", get(health::ready))
         .fallback(error::no_such_page)

@@ -19,6 +19,7 @@ mod replay;
 mod spawns;
 #[cfg(any(test, feature = "testing"))]
 pub mod testing;
+mod thumbnail;
 mod verify;
 mod write;
 
@@ -35,7 +36,8 @@ pub(crate) use outline::{Outline, SplitSource};
 pub use page::{Column, TestPage};
 pub use pages::PageId;
 pub use read::{PackedModel, SplitFields};
-pub use replay::{extract_complete, parents_first, replay};
+pub use replay::{extract, extract_complete, parents_first, replay, replay_ops};
+pub use thumbnail::thumbnail_edits;
 pub use verify::{VerifyReport, verify};
 #[allow(unused_imports)]
 pub(crate) use write::write_splits;

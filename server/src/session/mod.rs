@@ -34,6 +34,7 @@ use lodestream_protocol::wire;
 use self::mirror::{BatchPlan, Mirror, MirrorError};
 use self::pacer::Pacer;
 use self::score::Scorer;
+pub use self::select::ops_for_view;
 use self::select::{PageAccess, select};
 use crate::pack::{PackError, PackedModel, PageId};
 
@@ -43,8 +44,11 @@ const HYSTERESIS: Duration = Duration::from_millis(250);
 const HYSTERESIS_SHARE: f32 = 0.7;
 /// Bytes that a split is taken to cost when a batch is sized.
 const BYTES_PER_SPLIT: usize = 3;
-/// Ops that every batch may have, however small the allowance: fewer would be all header.
+/// Splits that every batch may have, however small the allowance: fewer would be all header.
 const MIN_OPS: usize = 64;
+/// Bytes that a face of a spawn is taken to cost, and a colour of a vertex.
+const BYTES_PER_SPAWNED_FACE: usize = 1;
+const BYTES_PER_SPAWNED_COLOR: usize = 3;
 
 /// What a server decides for all its sessions.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -293,7 +297,7 @@ impl Session {
         if now.since(current.received_at) >= HYSTERESIS && work.missing.is_empty() {
             work.reluctant = SlotSet::default();
         }
-        if let Some(mut plan) = work.next_batch(&running.mirror, current.view.triangle_limit, allowance) {
+        if let Some(mut plan) = work.next_batch(&self.model, &running.mirror, current.view.triangle_limit, allowance)? {
             let (ops, counts, applied) = running.mirror.batch(&self.model, &mut plan)?;
             work.next += applied;
             running.last_seq.0 += 1;
@@ -443,17 +447,44 @@ impl Work {
     }
 
     /// What to do with an allowance of so many bytes, or `None` when there is nothing to do now.
-    fn next_batch(&mut self, mirror: &Mirror, limit: u32, allowance: usize) -> Option<BatchPlan<'_>> {
+    fn next_batch(
+        &mut self,
+        model: &PackedModel,
+        mirror: &Mirror,
+        limit: u32,
+        allowance: usize,
+    ) -> Result<Option<BatchPlan<'_>>, PackError> {
         let is_over = mirror.replica().triangle_count() > limit;
         let budget = (allowance / BYTES_PER_SPLIT).max(MIN_OPS).min(MAX_OPS_PER_BATCH as usize / 4);
         let left = &self.pending[self.next..];
-        let ops = if is_over { &[] } else { &left[..left.len().min(budget)] };
+        let ops = if is_over { &[] } else { &left[..fitting(model, left, budget)?] };
         let may_go = |slot| self.stale.contains(slot) && !self.reluctant.contains(slot);
         if ops.is_empty() && !is_over && !mirror.replica().collapsible().iter().any(may_go) {
-            return None;
+            return Ok(None);
         }
         // What a view left behind goes in small shares while there are splits to send, then as fast as the link allows.
         let spare_collapses = if left.is_empty() { budget } else { budget / 4 } as u32;
-        Some(BatchPlan { ops, stale: &mut self.stale, reluctant: &mut self.reluctant, spare_collapses, limit })
+        Ok(Some(BatchPlan { ops, stale: &mut self.stale, reluctant: &mut self.reluctant, spare_collapses, limit }))
     }
+}
+
+/// How many of `ops` cost as much as `budget` splits, at least one if there are any. A spawn's positions are sent as they are.
+fn fitting(model: &PackedModel, ops: &[u32], budget: usize) -> Result<usize, PackError> {
+    let info = model.info();
+    let color = if info.has_colors { BYTES_PER_SPAWNED_COLOR } else { 0 };
+    let per_vertex = (3 * usize::from(info.lattice.bits)).div_ceil(8) + color;
+    let mut bytes = budget * BYTES_PER_SPLIT;
+    for (i, &op) in ops.iter().enumerate().take(budget) {
+        let cost = if op < model.spawn_count() {
+            model.spawn_vertices(op)? as usize * per_vertex
+                + model.spawn_triangles(op)? as usize * BYTES_PER_SPAWNED_FACE
+        } else {
+            BYTES_PER_SPLIT
+        };
+        if cost > bytes && i > 0 {
+            return Ok(i);
+        }
+        bytes = bytes.saturating_sub(cost);
+    }
+    Ok(ops.len().min(budget))
 }

@@ -18,6 +18,10 @@ pub struct Scorer {
     /// Pixels per lattice step at distance of one step, or anywhere for parallel rays.
     pixel_scale: f64,
     near: f64,
+    /// Viewing direction.
+    forward: DVec3,
+    /// Smallest depth over distance of a point inside the frustum: that of its corners.
+    corner_cosine: f64,
     /// Viewing direction of parallel rays.
     parallel: Option<DVec3>,
     culls_facing_away: bool,
@@ -49,9 +53,14 @@ impl Scorer {
                 offset: (plane.normal.dot(origin) + plane.offset) / lattice.step,
             })
             .collect();
-        let parallel = match view.projection {
-            Projection::Perspective { .. } => None,
-            Projection::Orthographic { .. } => Some(view.rotation() * DVec3::NEG_Z),
+        let forward = view.rotation() * DVec3::NEG_Z;
+        let (parallel, corner_cosine) = match view.projection {
+            Projection::Perspective { fov_y_rad } => {
+                let y = f64::from(fov_y_rad / 2.0).tan();
+                let x = y * f64::from(view.aspect);
+                (None, 1.0 / (1.0 + x * x + y * y).sqrt())
+            }
+            Projection::Orthographic { .. } => (Some(forward), 1.0),
         };
         let pixel_scale = match parallel {
             None => view.pixel_scale(),
@@ -62,6 +71,8 @@ impl Scorer {
             planes,
             pixel_scale,
             near: (view.near / lattice.step).max(1e-6),
+            forward,
+            corner_cosine,
             parallel,
             culls_facing_away: !(view.two_sided || model.is_open),
             silhouette_factor: f64::from(view.silhouette_factor),
@@ -101,7 +112,10 @@ impl Scorer {
         }
         let mut pixels = f64::from(error) * self.pixel_scale;
         if self.parallel.is_none() {
-            pixels /= (distance - radius).max(self.near);
+            // Size on screen goes by depth, not distance: of two lower bounds on the depth of what is in the frustum and in
+            // the sphere, the first serves near the axis, the other for large spheres beside it. Both grow as spheres shrink.
+            let depth = (to_center.dot(self.forward) - radius).max((distance - radius) * self.corner_cosine);
+            pixels /= depth.max(self.near);
         }
         if facing == Facing::Both {
             pixels *= self.silhouette_factor;
@@ -119,7 +133,7 @@ impl Scorer {
         if self.parallel.is_none() {
             let [low, high] = self.model_box;
             let distance = self.eye.distance(self.eye.clamp(low, high));
-            pixels /= (distance - 2.0 * f64::from(error)).max(self.near);
+            pixels /= ((distance - 2.0 * f64::from(error)) * self.corner_cosine).max(self.near);
         }
         // The sums of `priority` are rounded in another order.
         (pixels * (1.0 + 1e-6)) as f32

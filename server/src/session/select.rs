@@ -15,6 +15,8 @@
 use std::collections::BinaryHeap;
 use std::hash::BuildHasherDefault;
 
+use lodestream_protocol::view::View;
+
 use super::score::Scorer;
 use crate::pack::record::{Bounds, Cone, CutRef, Magnitude, NO_OP};
 use crate::pack::{PAGE_OPS, PackError, PackedModel, PageId};
@@ -85,6 +87,15 @@ pub(crate) fn triangles_of(model: &PackedModel, op: u32) -> Result<u32, PackErro
     }
     let fields = model.split(op)?;
     Ok(u32::from(fields.left != CutRef::None) + u32::from(fields.right != CutRef::None))
+}
+
+/// P* for a view and its triangle limit: parents before children, otherwise in order of priority. What a settled session holds.
+///
+/// # Errors
+/// [`PackError`] if a page is damaged.
+pub fn ops_for_view(model: &PackedModel, view: &View) -> Result<Vec<u32>, PackError> {
+    let scorer = Scorer::new(view, model.info());
+    Ok(select(model, &scorer, view.triangle_limit, PageAccess::Blocking)?.ops)
 }
 
 /// Computes P* for a view under a triangle limit, or as much of it as can be told from the pages that were read.
