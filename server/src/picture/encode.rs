@@ -3,7 +3,8 @@
 use super::raster::Canvas;
 
 /// Encodes as PNG with the best of these that stays within `max_bytes`: all the pixels with 8 bits per channel down to 4, then
-/// likewise half of them across and down, and so on. The alpha channel is the share of a pixel that is covered.
+/// likewise half of them across and down, and so on. The alpha channel is the share of a pixel that is covered. Where all is
+/// grey, one channel stands for three.
 pub(super) fn within(canvas: &Canvas, oversampling: u32, max_bytes: usize) -> Vec<u8> {
     let mut samples = oversampling;
     loop {
@@ -58,14 +59,22 @@ fn rounded(pixels: &[[u8; 4]], bits: u32) -> Vec<u8> {
 }
 
 fn encode(width: u32, height: u32, rgba: &[u8]) -> Vec<u8> {
+    let is_grey = rgba.chunks_exact(4).all(|pixel| pixel[0] == pixel[1] && pixel[1] == pixel[2]);
+    let grey: Vec<u8>;
+    let (kind, bytes) = if is_grey {
+        grey = rgba.chunks_exact(4).flat_map(|pixel| [pixel[0], pixel[3]]).collect();
+        (png::ColorType::GrayscaleAlpha, &grey[..])
+    } else {
+        (png::ColorType::Rgba, rgba)
+    };
     let mut out = Vec::new();
     let mut encoder = png::Encoder::new(&mut out, width, height);
-    encoder.set_color(png::ColorType::Rgba);
+    encoder.set_color(kind);
     encoder.set_depth(png::BitDepth::Eight);
     encoder.set_compression(png::Compression::High);
     encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
     let mut writer = encoder.write_header().expect("a picture has pixels, and memory takes them");
-    writer.write_image_data(rgba).expect("there are four bytes for each pixel");
+    writer.write_image_data(bytes).expect("each pixel has its bytes");
     writer.finish().expect("memory takes the end");
     out
 }

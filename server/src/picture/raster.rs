@@ -5,8 +5,8 @@ use glam::DVec3;
 use super::camera::Camera;
 use crate::mesh::TriMesh;
 
-/// Linear colour of a surface without colours of its own: light clay.
-const CLAY: DVec3 = DVec3::new(0.72, 0.70, 0.66);
+/// Linear colour of a surface without colours of its own: light clay, grey so that its pictures need a single channel.
+const CLAY: DVec3 = DVec3::splat(0.70);
 /// Normals of faces that meet at a sharper angle than 45 degrees are not averaged: its cosine.
 const CREASE_COSINE: f64 = 0.707_106_781_186_547_5;
 

@@ -10,7 +10,7 @@
 //! size of the model, and about 20 ns for each spawn that is judged.
 //!
 //! Where pages are read ahead, an op whose page has not been read is passed over with all that depends on it, and the page is
-//! named: the selection is then a part of P* (or, under a binding limit, an approximation of it).
+//! named: the selection is then a part of P*. Where the limit may bind, it is the part that comes before whatever is missing.
 
 use std::collections::BinaryHeap;
 use std::hash::BuildHasherDefault;
@@ -117,8 +117,13 @@ pub(crate) fn select(
         walk.offer(op)?;
     }
     let mut closure = Closure::default();
+    // How much was selected when the first page was missing, and its triangles: all that is certain to come first.
+    let mut certain = None;
     loop {
         walk.offer_spawns(limit)?;
+        if certain.is_none() && !walk.pages.missing.is_empty() {
+            certain = Some((walk.out.ops.len(), walk.out.triangles));
+        }
         let Some(key) = walk.heap.pop() else { break };
         let (priority, op) = unpack(key);
         if !walk.out.set.contains(&op) {
@@ -145,8 +150,16 @@ pub(crate) fn select(
             }
         }
     }
-    walk.out.missing = walk.pages.missing;
-    Ok(walk.out)
+    let mut out = walk.out;
+    if let Some((count, triangles)) = certain
+        && u64::from(limit) < model.info().triangles
+    {
+        // What is missing may leave no room for the rest, and what is sent in vain is sent twice.
+        out.ops.drain(count..).for_each(|op| _ = out.set.remove(&op));
+        out.triangles = triangles;
+    }
+    out.missing = walk.pages.missing;
+    Ok(out)
 }
 
 struct Walk<'a> {
