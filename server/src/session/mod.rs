@@ -341,7 +341,8 @@ impl Session {
         if work.is_some_and(|work| work.has_settled || work.waits_for_pages()) {
             return None;
         }
-        let is_reluctant = work.is_none_or(|work| work.missing.is_empty());
+        // Once the view has rested, or where pages are missing, nothing but a frame from the client changes what can be sent.
+        let is_reluctant = work.is_some_and(|work| work.missing.is_empty() && !work.reluctant.is_empty());
         let rested = is_reluctant.then_some(current.received_at + HYSTERESIS);
         [running.pacer.next_refill(), rested].into_iter().flatten().min()
     }
