@@ -83,6 +83,8 @@ pub struct RuntimeSection {
     /// Threads that choose and encode what is sent: a number, or `"auto"` for as many as the machine has cores. Default
     /// `"auto"`.
     pub compute_threads: Threads,
+    /// Threads that read pages of models for the sessions: the requests that the disk is given at once. Default 2.
+    pub reader_threads: u32,
     /// Threads that serve sockets. They only move bytes. Default 2.
     pub io_threads: u32,
     /// Seconds after the upgrade within which a client must send its first frame. Default 10.
@@ -101,6 +103,7 @@ impl Default for RuntimeSection {
         Self {
             max_sessions: 200,
             compute_threads: Threads::Auto,
+            reader_threads: 2,
             io_threads: 2,
             hello_timeout_s: 10,
             inbound_frames: 8,
@@ -289,6 +292,7 @@ impl Config {
             ("http.write_timeout_s", http.write_timeout_s),
             ("http.close_timeout_s", http.close_timeout_s),
             ("runtime.max_sessions", runtime.max_sessions),
+            ("runtime.reader_threads", runtime.reader_threads),
             ("runtime.io_threads", runtime.io_threads),
             ("runtime.hello_timeout_s", runtime.hello_timeout_s),
             ("runtime.inbound_frames", runtime.inbound_frames),
@@ -309,6 +313,7 @@ impl Config {
         for (key, value, most) in [
             ("http.max_connections", http.max_connections, 1 << 20),
             ("runtime.max_sessions", runtime.max_sessions, 1 << 20),
+            ("runtime.reader_threads", runtime.reader_threads, 1024),
             ("runtime.io_threads", runtime.io_threads, 1024),
             ("runtime.inbound_frames", runtime.inbound_frames, 1024),
             ("runtime.outbound_frames", runtime.outbound_frames, 1024),
@@ -332,6 +337,7 @@ impl Config {
             max_connections: http.max_connections,
             max_sessions: runtime.max_sessions,
             compute_threads: runtime.compute_threads.number(),
+            reader_threads: NonZeroUsize::new(runtime.reader_threads as usize).unwrap_or(NonZeroUsize::MIN),
             header_timeout: seconds(http.header_timeout_s),
             ping_interval: seconds(http.ping_interval_s),
             idle_timeout: seconds(http.idle_timeout_s),

@@ -2,7 +2,7 @@
 //!
 //! Layers, lowest first; a module uses only what stands above it in this list:
 //! [`mesh`] (ingest-time geometry), [`pack`] (the file), then side by side [`ingest`], [`repository`] and [`session`], then
-//! [`judge`], [`runtime`], [`http`] and [`cli`]. [`config`] and [`telemetry`] serve the last three.
+//! [`judge`] and [`picture`], [`runtime`], [`http`] and [`cli`]. [`config`] and [`telemetry`] serve the last three.
 
 pub mod cli;
 pub mod config;
@@ -11,6 +11,7 @@ pub mod ingest;
 pub mod judge;
 pub mod mesh;
 pub mod pack;
+pub mod picture;
 pub mod repository;
 pub mod runtime;
 pub mod session;

@@ -14,7 +14,7 @@ pub use shapes::{
 };
 pub use topology::{Topology, defect, topology};
 pub use troubled::{
-    bow_tie, colored_sphere, crack, many_components, moebius, noisy_sphere, painted_plane, sliver_strip,
+    bow_tie, colored_sphere, crack, debris, many_components, moebius, noisy_sphere, painted_plane, sliver_strip,
     three_on_an_edge, with_zero_area_faces,
 };
 

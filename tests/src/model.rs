@@ -15,6 +15,7 @@ pub struct TestModel {
     pub model: Arc<PackedModel>,
     /// The cleaned input, in model units.
     pub clean: TriMesh,
+    pack: Arc<Vec<u8>>,
 }
 
 /// An oriented triangle by lattice positions, rotated to its smallest form.
@@ -37,7 +38,18 @@ impl TestModel {
     pub fn with_options(mesh: TriMesh, options: &BuildOptions) -> Self {
         let (bytes, ..) = ingest_to_vec(&mesh, options, &Metadata::default()).expect("the mesh can be built");
         let (clean, _) = clean(mesh);
-        Self { model: Arc::new(PackedModel::from_vec(bytes).expect("a pack just written opens")), clean }
+        let pack = Arc::new(bytes);
+        Self { model: open(&pack), clean, pack }
+    }
+
+    /// The model as one that was just opened: none of its pages has been read.
+    pub fn reopened(&self) -> Arc<PackedModel> {
+        open(&self.pack)
+    }
+
+    /// The pack.
+    pub fn pack(&self) -> &[u8] {
+        &self.pack
     }
 
     /// The complete mesh as a sorted multiset of lattice triangles.
@@ -48,4 +60,8 @@ impl TestModel {
         triangles.sort_unstable();
         triangles
     }
+}
+
+fn open(pack: &Arc<Vec<u8>>) -> Arc<PackedModel> {
+    Arc::new(PackedModel::open(pack.clone()).expect("a pack just written opens"))
 }

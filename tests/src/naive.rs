@@ -244,7 +244,7 @@ pub fn triangles_of(model: &PackedModel, op: u32) -> u32 {
 /// The ops that a view asks for, by judging and sorting all of them: priority descending, id ascending, each with its missing
 /// parents; the first that does not fit goes in as far as it fits and ends it; one whose spawn does not fit is skipped.
 pub fn ops_for_view(model: &PackedModel, view: &View) -> BTreeSet<u32> {
-    let scorer = Scorer::new(view, &model.info().lattice, model.info().is_open);
+    let scorer = Scorer::new(view, model.info());
     let mut wanted: Vec<(f32, u32)> = (0..model.op_count())
         .map(|op| (scorer.priority(&model.bounds(op).unwrap()), op))
         .filter(|&(priority, _)| view.complete || priority > view.tolerance_px)

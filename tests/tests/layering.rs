@@ -141,11 +141,27 @@ const SERVER: Layers<'static> = &[
     ("repository", &["mesh", "pack"]),
     ("session", &["mesh", "pack"]),
     ("judge", &["mesh", "pack", "session"]),
-    ("runtime", &["session"]),
-    ("http", &["repository", "runtime", "session"]),
+    ("picture", &["mesh", "pack", "session"]),
+    ("runtime", &["pack", "session"]),
+    ("http", &["pack", "repository", "runtime", "session"]),
     ("telemetry", &[]),
     ("config", &["http", "runtime", "session", "telemetry"]),
-    ("cli", &["config", "http", "ingest", "judge", "mesh", "pack", "repository", "runtime", "session", "telemetry"]),
+    (
+        "cli",
+        &[
+            "config",
+            "http",
+            "ingest",
+            "judge",
+            "mesh",
+            "pack",
+            "picture",
+            "repository",
+            "runtime",
+            "session",
+            "telemetry",
+        ],
+    ),
 ];
 
 const CLIENT: Layers<'static> =

@@ -10,10 +10,12 @@ use lodestream_protocol::testing::check_replica;
 use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
 use lodestream_server::ingest::simplify::{BuildOptions, PlacementChoice};
 use lodestream_server::mesh::TriMesh;
+use lodestream_server::pack::PAGE_OPS;
+use lodestream_server::session::score::Scorer;
 use lodestream_tests::meshes;
 use lodestream_tests::model::TestModel;
 use lodestream_tests::naive::{CompleteMesh, Walker, keyed, ops_for_view, parents, triangles};
-use lodestream_tests::sim::{LinkShape, Pair, PairConfig};
+use lodestream_tests::sim::{Disk, LinkShape, Pair, PairConfig};
 
 fn every_topology() -> Vec<(&'static str, TriMesh)> {
     vec![
@@ -153,6 +155,102 @@ fn sessions_settle_on_what_the_view_asks_for() {
                 }
             }
             check_replica(pair.client.replica().unwrap()).unwrap_or_else(|e| panic!("{name} {seed}: {e}"));
+        }
+    }
+}
+
+/// Where pages are read ahead, they may arrive in any order and at any time: what settles is P* all the same, and the session
+/// never read a page itself, which `Pair` asserts after each of its calls.
+#[test]
+fn the_order_in_which_pages_arrive_makes_no_difference() {
+    let many_pages = [
+        ("debris", meshes::debris(2000, 3), None),
+        ("more noise", meshes::noisy_sphere(9000, 4), Some(14)),
+        ("more colours", meshes::colored_sphere(5), None),
+    ];
+    for (name, mesh, bits) in every_topology().into_iter().map(|(name, mesh)| (name, mesh, Some(13))).chain(many_pages)
+    {
+        let test = TestModel::new(mesh, bits);
+        for seed in 0..3 {
+            let mut rng = Rng::with_seed(200 + seed);
+            let latency = Duration::from_millis([0, 3, 40][seed as usize]);
+            let mut config = PairConfig { disk: Disk::Slow { seed, latency }, ..PairConfig::default() };
+            if seed == 1 {
+                config.down = LinkShape { bytes_per_sec: 200_000.0, latency: Duration::from_millis(20) };
+            }
+            let mut pair = Pair::new(test.reopened(), config);
+            for step in 0..5 {
+                let view = random_view(&mut rng, test.model.info());
+                pair.look(view.clone());
+                if rng.u8(0..3) == 0 {
+                    pair.run(Duration::from_millis(rng.u64(0..120)));
+                    continue;
+                }
+                pair.settle();
+                let what = format!("{name} seed {seed} step {step}");
+                let set: BTreeSet<u32> = pair.server.applied_ops().iter().map(|a| a.0).collect();
+                assert_eq!(set, ops_for_view(&test.model, &view), "{what}");
+                let (mirror, replica) = (pair.server.mirror().unwrap(), pair.client.replica().unwrap());
+                assert_eq!(mirror.digest(), replica.digest(), "{what}");
+                assert!(replica.triangle_count() <= view.triangle_limit, "{what}");
+            }
+            let mut view = random_view(&mut rng, test.model.info());
+            (view.complete, view.triangle_limit) = (true, UNLIMITED_TRIANGLES);
+            pair.look(view);
+            pair.settle();
+            assert_eq!(triangles(pair.client.replica().unwrap()), test.expected_triangles(), "{name} seed {seed}");
+            let pages = test.model.page_count() + test.model.spawn_count().div_ceil(PAGE_OPS);
+            assert_eq!(pair.pages_read(), pages, "{name} seed {seed}");
+        }
+    }
+}
+
+/// Components appear in the order of how large they look: cut where one batch ends and the next begins, the spawns of a view by
+/// priority, all judged and sorted, are those that arrived, batch by batch. None of the batches is much larger than allowed.
+#[test]
+fn components_arrive_by_their_size_on_screen() {
+    let test = TestModel::new(meshes::debris(1500, 5), None);
+    let model = &test.model;
+    assert_eq!(model.spawn_count(), 1500);
+    for disk in [Disk::Instant, Disk::Slow { seed: 1, latency: Duration::ZERO }] {
+        for (tolerance, limit) in [(2.0, UNLIMITED_TRIANGLES), (0.5, UNLIMITED_TRIANGLES), (0.5, 4000)] {
+            let slow = LinkShape { bytes_per_sec: 20_000.0, latency: Duration::from_millis(20) };
+            let config = PairConfig { down: slow, up: slow, disk, ..PairConfig::default() };
+            let mut pair = Pair::new(test.reopened(), config);
+            pair.keep_frames();
+            let mut view = View::perspective(DVec3::new(3.0, 2.0, 9.0), DVec3::ZERO, 0.8);
+            (view.near, view.tolerance_px, view.triangle_limit) = (1e-3, tolerance, limit);
+            pair.look(view.clone());
+            let mut arrived: Vec<BTreeSet<u32>> = Vec::new();
+            let mut before = BTreeSet::new();
+            while pair.client.settled().is_none() {
+                assert!(pair.step(Duration::from_millis(5)), "it settles sooner or later");
+                let spawned = |&(op, _): &(u32, u32)| (op < model.spawn_count()).then_some(op);
+                let now: BTreeSet<u32> = pair.server.applied_ops().iter().filter_map(spawned).collect();
+                assert!(before.is_subset(&now), "nothing that came goes again");
+                arrived.extend(Some(&now - &before).filter(|new| !new.is_empty()));
+                before = now;
+            }
+            let wanted = ops_for_view(model, &view);
+            let scorer = Scorer::new(&view, model.info());
+            let priority = |op: u32| scorer.priority(&model.bounds(op).unwrap());
+            let mut expected: Vec<u32> = wanted.into_iter().filter(|&op| op < model.spawn_count()).collect();
+            expected.sort_by(|&a, &b| priority(b).total_cmp(&priority(a)).then(a.cmp(&b)));
+            assert!(arrived.len() > 2, "{} batches", arrived.len());
+            assert_eq!(arrived.iter().map(BTreeSet::len).sum::<usize>(), expected.len());
+            // Without a limit all that is known to be wanted is sent, also before what is not known yet.
+            if limit != UNLIMITED_TRIANGLES || matches!(disk, Disk::Instant) {
+                let mut rest = &expected[..];
+                for batch in &arrived {
+                    let (first, others) = rest.split_at(batch.len());
+                    assert_eq!(batch, &first.iter().copied().collect());
+                    rest = others;
+                }
+                assert_eq!(pair.client.stats().collapses, 0, "nothing is sent in vain");
+            }
+            let [frames, _] = pair.kept_frames();
+            let longest = frames.iter().map(Vec::len).max().unwrap_or_default();
+            assert!(longest < 6000, "a frame of {longest} bytes on a link with a window of 16 KB");
         }
     }
 }

@@ -17,6 +17,7 @@ use crate::ingest::simplify::{BuildOptions, PlacementChoice};
 use crate::ingest::spill::Workspace;
 use crate::ingest::{DEFAULT_CREASE_ANGLE_DEG, ingest};
 use crate::pack::Metadata;
+use crate::picture;
 use crate::repository::{ModelId, Original, Repository};
 
 /// Turn mesh files into models of a repository.
@@ -248,7 +249,13 @@ pub(super) fn publish(
         fields.remove("timings");
     }
     let metadata = Metadata { clean_report: serde_json::to_value(&done.cleaned)?, build_report: built, ..metadata };
-    let bytes = repository.publish_with(id, original, |out| done.write(&metadata, out, &show))?;
+    let metadata = Metadata { leaves_room_for_thumbnail: true, ..metadata };
+    let bytes = repository.publish_with_thumbnail::<_, anyhow::Error>(
+        id,
+        original,
+        |out| Ok(done.write(&metadata, out, &show)?),
+        |model| Ok(picture::thumbnail(model)?),
+    )?;
     Ok(Published { id: id.clone(), cleaned: done.cleaned, built: done.built, bytes })
 }
 

@@ -15,6 +15,9 @@ pub struct InspectArgs {
     /// Directory that holds the models.
     #[arg(long, value_name = "DIR")]
     pub repository: PathBuf,
+    /// Write the model's thumbnail to this file, as PNG.
+    #[arg(long, value_name = "FILE")]
+    pub thumbnail: Option<PathBuf>,
     /// Print one JSON object.
     #[arg(long)]
     pub json: bool,
@@ -23,10 +26,15 @@ pub struct InspectArgs {
 /// Prints what the model is made of.
 ///
 /// # Errors
-/// A model that cannot be used.
+/// A model that cannot be used, or has no thumbnail to write.
 pub fn run(args: InspectArgs) -> anyhow::Result<()> {
     let id = model_id(&args.model)?;
     let model = Repository::open(&args.repository)?.get(&id)?;
+    if let Some(path) = &args.thumbnail {
+        let png = model.thumbnail().with_context(|| format!("model {id}"))?;
+        let png = png.with_context(|| format!("model {id} has no thumbnail"))?;
+        std::fs::write(path, png).with_context(|| format!("cannot write {}", path.display()))?;
+    }
     let found = crate::pack::inspect(&model).with_context(|| format!("model {id}"))?;
     if args.json {
         println!("{}", serde_json::to_string(&found)?)

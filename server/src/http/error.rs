@@ -21,6 +21,9 @@ pub(super) enum HttpError {
     /// No such model.
     #[error("there is no model `{0}`")]
     NoSuchModel(String),
+    /// The model has no picture.
+    #[error("the model `{0}` has no thumbnail")]
+    NoThumbnail(String),
     /// The model's file is damaged.
     #[error("the model `{0}` cannot be used")]
     ModelUnusable(String),
@@ -44,7 +47,7 @@ pub(super) enum HttpError {
 impl HttpError {
     fn status(&self) -> StatusCode {
         match self {
-            Self::NoSuchPage(_) | Self::NoSuchModel(_) => StatusCode::NOT_FOUND,
+            Self::NoSuchPage(_) | Self::NoSuchModel(_) | Self::NoThumbnail(_) => StatusCode::NOT_FOUND,
             Self::ForeignOrigin(_) => StatusCode::FORBIDDEN,
             Self::NoWebSocket(_) => StatusCode::UPGRADE_REQUIRED,
             Self::Full(_) | Self::ShuttingDown => StatusCode::SERVICE_UNAVAILABLE,

@@ -21,7 +21,7 @@ use axum::routing::get;
 pub use models::{ModelEntry, ModelStatus, Models, OpenError};
 pub use serve::{Drained, bind, serve};
 
-use crate::runtime::{Admission, DriverSettings, Pool, Shutdown};
+use crate::runtime::{Admission, DriverSettings, PageReader, Pool, Shutdown, Workers};
 
 /// What bounds the server.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -34,6 +34,8 @@ pub struct Settings {
     pub max_sessions: u32,
     /// Threads that compute.
     pub compute_threads: NonZeroUsize,
+    /// Threads that read pages.
+    pub reader_threads: NonZeroUsize,
     /// A connection that takes longer to send a request's head is closed, and so is one that idles.
     pub header_timeout: Duration,
     /// A stream is pinged this often.
@@ -53,22 +55,23 @@ pub struct Settings {
 /// Everything that handlers share.
 pub struct App {
     models: Box<dyn Models>,
-    pool: Pool,
+    workers: Workers,
     admission: Admission,
     shutdown: Shutdown,
     settings: Settings,
 }
 
 impl App {
-    /// Starts the compute threads.
+    /// Starts the threads that compute and read.
     ///
     /// # Errors
     /// The operating system's, when it gives no threads.
     pub fn new(models: Box<dyn Models>, settings: Settings, shutdown: Shutdown) -> std::io::Result<Arc<Self>> {
         // A session hands in one slice at a time, and a closing one may overlap with its successor.
         let pool = Pool::new(settings.compute_threads, 2 * settings.max_sessions as usize)?;
+        let workers = Workers { pool, reader: PageReader::new(settings.reader_threads)? };
         let admission = Admission::new(settings.max_sessions);
-        Ok(Arc::new(Self { models, pool, admission, shutdown, settings }))
+        Ok(Arc::new(Self { models, workers, admission, shutdown, settings }))
     }
 }
 
@@ -78,6 +81,7 @@ fn router(app: Arc<App>) -> Router {
         .route("/models", get(catalogue::list))
         .route("/models/{id}", get(catalogue::model))
         .route("/models/{id}/stream", get(ws::stream))
+        .route("/models/{id}/thumbnail", get(catalogue::thumbnail))
         .route("/healthz", get(health::alive))
         .route("/readyz", get(health::ready))
         .fallback(error::no_such_page)

@@ -1,10 +1,16 @@
 //! Which models there are and how a session on one is opened.
 
+use std::sync::Arc;
+
 use serde::Serialize;
 
+use crate::pack::{PackError, PackedModel};
 use crate::repository::{ModelState, Repository, RepositoryError};
 use crate::runtime::Core;
 use crate::session::{Session, SessionConfig};
+
+/// Pages of each kind that are read as a session opens: the first 2,048 spawns and splits, more than a first image has.
+const FIRST_PAGES: u32 = 8;
 
 /// One line of the list of models.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -21,6 +27,8 @@ pub struct ModelEntry {
     pub bytes: u64,
     /// Whether it can be streamed.
     pub status: ModelStatus,
+    /// Where its picture is, if it has one.
+    pub thumbnail: Option<String>,
 }
 
 /// Whether a model can be streamed.
@@ -59,6 +67,12 @@ pub trait Models: Send + Sync + 'static {
     /// # Errors
     /// [`OpenError`].
     fn open(&self, id: &str) -> Result<Box<dyn Core>, OpenError>;
+
+    /// A model's picture as PNG, if it has one. May read from disk likewise.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    fn thumbnail(&self, id: &str) -> Result<Option<Vec<u8>>, OpenError>;
 }
 
 /// The models of a repository.
@@ -72,6 +86,14 @@ impl RepositoryModels {
     /// Serves all of `repository` with sessions configured by `session`.
     pub fn new(repository: Repository, session: SessionConfig) -> Self {
         Self { repository, session }
+    }
+
+    fn get(&self, id: &str) -> Result<Arc<PackedModel>, OpenError> {
+        let unknown = || OpenError::Unknown(id.into());
+        self.repository.get(&id.parse().map_err(|_| unknown())?).map_err(|error| match error {
+            RepositoryError::NotFound(_) => unknown(),
+            other => OpenError::Unusable { id: id.into(), reason: with_causes(&other) },
+        })
     }
 }
 
@@ -94,6 +116,7 @@ impl Models for RepositoryModels {
                     vertices: model.info().vertices,
                     bytes: model.file_bytes(),
                     status: ModelStatus::Ready,
+                    thumbnail: model.has_thumbnail().then(|| format!("/models/{}/thumbnail", entry.id)),
                 },
                 ModelState::Damaged(_) => ModelEntry {
                     id,
@@ -102,6 +125,7 @@ impl Models for RepositoryModels {
                     vertices: 0,
                     bytes: std::fs::metadata(&entry.path).map_or(0, |file| file.len()),
                     status: ModelStatus::Quarantined,
+                    thumbnail: None,
                 },
             }
         };
@@ -109,12 +133,18 @@ impl Models for RepositoryModels {
     }
 
     fn open(&self, id: &str) -> Result<Box<dyn Core>, OpenError> {
-        let unknown = || OpenError::Unknown(id.into());
-        let model = self.repository.get(&id.parse().map_err(|_| unknown())?).map_err(|error| match error {
-            RepositoryError::NotFound(_) => unknown(),
-            other => OpenError::Unusable { id: id.into(), reason: with_causes(&other) },
-        })?;
-        Ok(Box::new(Session::new(model, self.session)))
+        let model = self.get(id)?;
+        // We may wait for the disk here, and the first picture then need not.
+        for page in model.first_pages(FIRST_PAGES) {
+            let unusable = |reason: PackError| OpenError::Unusable { id: id.into(), reason: reason.to_string() };
+            model.read_page(page).map_err(unusable)?;
+        }
+        Ok(Box::new(Session::reading_ahead(model, self.session)))
+    }
+
+    fn thumbnail(&self, id: &str) -> Result<Option<Vec<u8>>, OpenError> {
+        let unusable = |reason: PackError| OpenError::Unusable { id: id.into(), reason: reason.to_string() };
+        Ok(self.get(id)?.thumbnail().map_err(unusable)?.map(<[u8]>::to_vec))
     }
 }
 

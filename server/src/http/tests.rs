@@ -19,7 +19,7 @@ use tokio_tungstenite::{WebSocketStream, client_async};
 
 use super::*;
 use crate::runtime::Core;
-use crate::session::{SessionError, SessionStats};
+use crate::session::{SessionError, SessionStats, WantedPages};
 
 /// No test takes longer.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -50,6 +50,14 @@ impl Core for Echo {
         None
     }
 
+    fn poll_wanted(&mut self) -> Option<WantedPages> {
+        None
+    }
+
+    fn handle_pages(&mut self) -> Result<(), SessionError> {
+        Ok(())
+    }
+
     fn stats(&self) -> SessionStats {
         SessionStats::default()
     }
@@ -67,6 +75,7 @@ impl Models for TestModels {
             vertices: 12,
             bytes: 1000,
             status,
+            thumbnail: (id == "echo").then(|| "/models/echo/thumbnail".into()),
         };
         vec![entry("damaged", "", ModelStatus::Quarantined), entry("echo", "A <b>title", ModelStatus::Ready)]
     }
@@ -76,6 +85,14 @@ impl Models for TestModels {
             "echo" => Ok(Box::new(Echo::default())),
             "damaged" => Err(OpenError::Unusable { id: id.into(), reason: "checksum of page 3".into() }),
             _ => Err(OpenError::Unknown(id.into())),
+        }
+    }
+
+    fn thumbnail(&self, id: &str) -> Result<Option<Vec<u8>>, OpenError> {
+        match id {
+            "echo" => Ok(Some(b"a picture".to_vec())),
+            "bare" => Ok(None),
+            _ => self.open(id).map(|_| None),
         }
     }
 }
@@ -95,6 +112,7 @@ impl Server {
             max_connections: 16,
             max_sessions: 4,
             compute_threads: NonZeroUsize::MIN,
+            reader_threads: NonZeroUsize::MIN,
             header_timeout: PATIENCE,
             ping_interval: PATIENCE,
             idle_timeout: PATIENCE,
@@ -318,7 +336,7 @@ async fn a_panic_ends_its_own_session_only() {
     let mut bad = server.connect().await;
     say(&mut bad, b"panic").await;
     assert_eq!(close_frame(&mut bad).await, (CloseCode::Internal as u16, "internal error".into()));
-    assert_eq!(server.app.pool.panics(), 1);
+    assert_eq!(server.app.workers.pool.panics(), 1);
     assert_echoes(&mut good).await;
     assert_echoes(&mut server.connect().await).await;
 }
@@ -378,4 +396,22 @@ async fn shutdown_does_not_wait_for_those_who_do_not_say_goodbye() {
     assert_echoes(&mut mute).await;
     server.app.shutdown.trigger();
     assert_eq!(within(server.serving).await.unwrap(), Drained::Partly { sessions: 1 });
+}
+
+#[tokio::test]
+async fn thumbnails_have_tags_and_their_absence_is_said() {
+    let server = Server::start(|_| {}).await;
+    let (status, answer) = server.get("/models/echo/thumbnail", "").await;
+    assert_eq!(status, 200);
+    assert!(answer.contains("content-type: image/png") && answer.ends_with("\r\n\r\na picture"), "{answer}");
+    let tag = answer.lines().find_map(|line| line.strip_prefix("etag: ")).expect("a tag").to_owned();
+    let (status, answer) = server.get("/models/echo/thumbnail", &format!("if-none-match: \"x\", {tag}\r\n")).await;
+    assert!(status == 304 && !answer.contains("a picture"), "{status} {answer}");
+    let (status, _) = server.get("/models/echo/thumbnail", "if-none-match: \"x\"\r\n").await;
+    assert_eq!(status, 200);
+    let (status, answer) = server.get("/models/bare/thumbnail", "").await;
+    assert!(status == 404 && answer.contains("the model `bare` has no thumbnail"), "{answer}");
+    let (status, answer) = server.get("/models/nothing/thumbnail", "").await;
+    assert!(status == 404 && answer.contains("there is no model `nothing`"), "{answer}");
+    assert_eq!(server.get("/models/damaged/thumbnail", "").await.0, 500);
 }

@@ -112,7 +112,7 @@ async fn run(socket: WebSocket, app: Arc<App>, core: Box<dyn Core>, admitted: Ad
             end = write(&mut sink, outbound, settings) => end,
         }
     };
-    let report = drive(core, &app.pool, settings.driver.hello_timeout, frames, answers, interrupted).await;
+    let report = drive(core, &app.workers, settings.driver.hello_timeout, frames, answers, interrupted).await;
     log_end(&report);
     close(sink, stream, &report.end, settings.close_timeout).await;
     drop(admitted);

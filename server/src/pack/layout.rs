@@ -50,6 +50,9 @@ pub(super) struct SectionEntry {
 /// A reader that does not know the section's kind must refuse the file.
 pub(super) const SECTION_REQUIRED: u32 = 1;
 
+/// Most bytes of a thumbnail: bounds what a server hands out for a hostile pack.
+pub(super) const MAX_THUMBNAIL_BYTES: u64 = 1 << 16;
+
 /// Sections of version 1, in file order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
@@ -62,10 +65,12 @@ pub(super) enum Section {
     SpawnDirectory = 6,
     OpPages = 7,
     OpDirectory = 8,
+    Thumbnail = 9,
 }
 
 impl Section {
-    pub(super) const ALL: [Self; 8] = [
+    /// Those that every pack has, and that a reader must know.
+    pub(super) const REQUIRED: [Self; 8] = [
         Self::Model,
         Self::Metadata,
         Self::Base,
@@ -77,7 +82,7 @@ impl Section {
     ];
 
     pub(super) fn from_kind(kind: u32) -> Option<Self> {
-        Self::ALL.into_iter().find(|s| *s as u32 == kind)
+        Self::REQUIRED.into_iter().chain([Self::Thumbnail]).find(|s| *s as u32 == kind)
     }
 
     pub(super) fn name(self) -> &'static str {
@@ -90,6 +95,7 @@ impl Section {
             Self::SpawnDirectory => "spawn directory",
             Self::OpPages => "op pages",
             Self::OpDirectory => "op directory",
+            Self::Thumbnail => "thumbnail",
         }
     }
 }

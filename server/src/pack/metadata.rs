@@ -26,6 +26,9 @@ pub struct Metadata {
     pub clean_report: Value,
     /// Report of simplification and hierarchy, with the options used.
     pub build_report: Value,
+    /// Not stored: whether the writer leaves room in the section table for the thumbnail that is drawn from the finished pack.
+    #[serde(skip)]
+    pub leaves_room_for_thumbnail: bool,
 }
 
 impl Default for Metadata {
@@ -40,6 +43,7 @@ impl Default for Metadata {
             read_report: Value::Null,
             clean_report: Value::Null,
             build_report: Value::Null,
+            leaves_room_for_thumbnail: false,
         }
     }
 }

@@ -19,6 +19,7 @@ mod replay;
 mod spawns;
 #[cfg(any(test, feature = "testing"))]
 pub mod testing;
+mod thumbnail;
 mod verify;
 mod write;
 
@@ -32,8 +33,10 @@ pub use layout::{PAGE_OPS, VERSION};
 pub use metadata::Metadata;
 pub(crate) use outline::{Outline, SplitSource};
 pub use page::{Column, TestPage};
+pub use pages::PageId;
 pub use read::{PackedModel, SplitFields};
 pub use replay::{extract, extract_complete, parents_first, replay, replay_ops};
+pub use thumbnail::thumbnail_edits;
 pub use verify::{VerifyReport, verify};
 pub(crate) use write::write_splits;
 pub use write::{WriteError, write, write_to_vec};

@@ -8,6 +8,15 @@ use super::layout::{PAGE_SHIFT, Section};
 use super::page::{checksum, u64_at};
 use super::{PackError, damaged};
 
+/// A page of a pack: what is read and checked as a whole.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+pub enum PageId {
+    /// The ops `256 n ..`: their bounds and, of splits, all else.
+    Ops(u32),
+    /// The patches of spawns `256 n ..`.
+    Patches(u32),
+}
+
 /// Where the pages of one kind are and which of them were checked.
 ///
 /// The directory is not checked at open: an entry that is wrong leads to bytes whose checksum, which is seeded with the
@@ -47,6 +56,11 @@ impl Pages {
     pub(super) fn is_checked(&self, page: u32) -> bool {
         // Acquire is not needed for the bytes, which never change; it orders nothing else.
         self.checked.get((page / 64) as usize).is_some_and(|w| w.load(Ordering::Relaxed) >> (page % 64) & 1 != 0)
+    }
+
+    /// How many were checked.
+    pub(super) fn checked_count(&self) -> u32 {
+        self.checked.iter().map(|word| word.load(Ordering::Relaxed).count_ones()).sum()
     }
 
     /// Bytes of a page that was used before.

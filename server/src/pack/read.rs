@@ -14,7 +14,7 @@ use super::layout::{
     SpawnEntry, align8, column, tag,
 };
 use super::page::{PageContext, PageView, TestPage};
-use super::pages::Pages;
+use super::pages::{PageId, Pages};
 use super::record::{Bounds, CutRef, NO_OP};
 use super::spawns::{PatchArrays, SpawnTable, spawn_page_bytes, spawns_of_page};
 use super::{Metadata, PackBytes, PackError, damaged};
@@ -55,6 +55,7 @@ pub struct PackedModel {
     context: PageContext,
     sections: Vec<(Option<Section>, SectionEntry)>,
     spawn_table: Range<usize>,
+    smallest_spawn: u32,
     spawn_pages: Pages,
     op_pages: Pages,
     first_damage: OnceLock<PackError>,
@@ -138,7 +139,8 @@ impl PackedModel {
         let base_end = SpawnEntry { vertex: fields.base_vertices, face: fields.base_faces };
         let spawn_table = range(Section::SpawnTable)?;
         let table = SpawnTable::new(&file[spawn_table.clone()]);
-        table.check(fields.spawns, base_end).map_err(|reason| damaged(Section::SpawnTable, reason))?;
+        let smallest_spawn =
+            table.check(fields.spawns, base_end).map_err(|reason| damaged(Section::SpawnTable, reason))?;
         let roots = table.entry(fields.spawns).expect("the table has one entry more than spawns");
         let context = PageContext {
             ops: fields.ops,
@@ -176,6 +178,7 @@ impl PackedModel {
             base_first_splits,
             context,
             spawn_table,
+            smallest_spawn,
             spawn_pages,
             op_pages,
             first_damage: OnceLock::new(),
@@ -233,6 +236,12 @@ impl PackedModel {
         self.context.spawns
     }
 
+    /// Triangles of the smallest spawn; the largest number there is if none spawns.
+    #[inline]
+    pub fn smallest_spawn(&self) -> u32 {
+        self.smallest_spawn
+    }
+
     /// Splits are ops `spawn_count() .. op_count()`.
     #[inline]
     pub fn op_count(&self) -> u32 {
@@ -244,18 +253,57 @@ impl PackedModel {
         self.op_pages.count()
     }
 
-    /// Whether the page of `op` was used before, so that reading it costs no check (and most likely no disk access).
+    /// The page with the fields of an op.
     #[inline]
-    pub fn is_warm(&self, op: u32) -> bool {
-        self.op_pages.is_checked(op >> PAGE_SHIFT)
+    pub fn page_of(op: u32) -> PageId {
+        PageId::Ops(op >> PAGE_SHIFT)
     }
 
-    /// Reads and checks the page of `op`: what a thread that reads ahead does.
+    /// The page with the patch of a spawn.
+    #[inline]
+    pub fn patch_page_of(spawn: u32) -> PageId {
+        PageId::Patches(spawn >> PAGE_SHIFT)
+    }
+
+    /// Whether a page was read and checked before. What it holds is then read without a check and, unless the system took the
+    /// memory for something else meanwhile, without the disk.
+    #[inline]
+    pub fn is_ready(&self, page: PageId) -> bool {
+        match page {
+            PageId::Ops(page) => self.op_pages.is_checked(page),
+            PageId::Patches(page) => self.spawn_pages.is_checked(page),
+        }
+    }
+
+    /// Reads all of a page and checks it, so that it [is ready](Self::is_ready). Waits for the disk, then takes some
+    /// microseconds; costs nothing if the page is ready.
     ///
     /// # Errors
-    /// [`PackError`] if the page is damaged or there is no such op.
-    pub fn warm(&self, op: u32) -> Result<(), PackError> {
-        self.op_row(op).map(|_| ())
+    /// [`PackError`] if the page is damaged (which [`damage`](Self::damage) remembers) or there is none of this number.
+    pub fn read_page(&self, page: PageId) -> Result<(), PackError> {
+        match page {
+            PageId::Ops(page) if page < self.op_pages.count() => self.op_page(page).map(|_| ()),
+            PageId::Patches(page) if page < self.spawn_pages.count() => {
+                self.spawn_arrays(page << PAGE_SHIFT).map(|_| ())
+            }
+            PageId::Ops(number) => Err(PackError::OutOfRange { what: "op page", number }),
+            PageId::Patches(number) => Err(PackError::OutOfRange { what: "spawn page", number }),
+        }
+    }
+
+    /// The pages that views of the model begin with: the coarsest `each` of op pages of spawns, of op pages of splits, and of
+    /// spawn pages.
+    pub fn first_pages(&self, each: u32) -> impl Iterator<Item = PageId> + use<> {
+        let (ops, splits) = (self.op_pages.count(), self.context.spawns >> PAGE_SHIFT);
+        let of_spawns = 0..each.min(splits);
+        let of_splits = splits..splits.saturating_add(each).min(ops);
+        let patches = 0..each.min(self.spawn_pages.count());
+        of_spawns.chain(of_splits).map(PageId::Ops).chain(patches.map(PageId::Patches))
+    }
+
+    /// Pages that [are ready](Self::is_ready).
+    pub fn ready_pages(&self) -> u32 {
+        self.op_pages.checked_count() + self.spawn_pages.checked_count()
     }
 
     /// The page of an op and its row there.

@@ -94,8 +94,8 @@ impl<'a> SpawnTable<'a> {
     }
 
     /// Checks that entries begin after the base and that each spawn has vertices and faces in reasonable numbers.
-    /// O(spawns).
-    pub(super) fn check(&self, spawns: u32, base: SpawnEntry) -> Result<(), String> {
+    /// Returns the faces of the smallest. O(spawns).
+    pub(super) fn check(&self, spawns: u32, base: SpawnEntry) -> Result<u32, String> {
         if self.bytes.len() as u64 != 8 * (u64::from(spawns) + 1) {
             return Err(format!("{} bytes for {spawns} spawns", self.bytes.len()));
         }
@@ -104,15 +104,16 @@ impl<'a> SpawnTable<'a> {
         if before != base {
             return Err("the first spawn does not follow the base".into());
         }
+        let mut smallest = u32::MAX;
         for spawn in 0..spawns {
             let next = self.entry(spawn + 1).ok_or(missing)?;
             let size = |from: u32, to: u32| to.checked_sub(from).filter(|n| (1..=MAX_PATCH_ELEMENTS).contains(n));
-            if size(before.vertex, next.vertex).is_none() || size(before.face, next.face).is_none() {
-                return Err(format!("spawn {spawn} has no size or is too large"));
-            }
+            let faces = size(before.face, next.face).filter(|_| size(before.vertex, next.vertex).is_some());
+            let faces = faces.ok_or_else(|| format!("spawn {spawn} has no size or is too large"))?;
+            smallest = smallest.min(faces);
             before = next;
         }
-        Ok(())
+        Ok(smallest)
     }
 
     /// The spawn whose range holds a number that is known to be past the base and before the end. O(log spawns).

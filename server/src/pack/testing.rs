@@ -233,7 +233,8 @@ impl Generator {
             self.dag.spawns[i].bounds = self.cover(self.dag.spawns[i].patch.positions[0], 2000.0, &children);
         }
         // Spawns come by error descending; making all alike spares us to renumber them.
-        let error = self.dag.spawns.iter().map(|s| s.bounds.error).max().unwrap_or_default();
+        let largest = |bounds: Bounds| bounds.error.max(bounds.radius);
+        let error = self.dag.spawns.iter().map(|s| largest(s.bounds)).max().unwrap_or_default();
         self.dag.spawns.iter_mut().for_each(|s| s.bounds.error = error);
     }
 

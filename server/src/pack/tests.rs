@@ -287,7 +287,7 @@ fn the_writer_refuses_what_a_reader_would() {
 fn section_at(bytes: &[u8], at: usize) -> &'static str {
     let word = |at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap()) as usize;
     let mut name = "header";
-    for (i, section) in layout::Section::ALL.iter().enumerate() {
+    for (i, section) in layout::Section::REQUIRED.iter().enumerate() {
         let entry = 32 + 32 * i;
         if word(entry + 16) > 0 && word(entry + 8) <= at {
             name = section.name();
@@ -327,9 +327,10 @@ fn every_truncation_is_refused() {
 fn read_everything(bytes: &[u8]) {
     let Ok(model) = PackedModel::from_vec(bytes.to_vec()) else { return };
     for op in (0..model.op_count().min(2000) + 3).chain([NO_OP]) {
-        let _ = (model.bounds(op), model.children(op), model.split(op), model.parents(op), model.is_warm(op));
+        let _ = (model.bounds(op), model.children(op), model.split(op), model.parents(op));
         let _ = (model.spawn_patch(op), model.spawn_first_splits(op), model.spawn_triangles(op));
         let _ = (model.root_face(op), model.root_vertex(op), model.tests(op));
+        let _ = [PageId::Ops(op), PageId::Patches(op)].map(|page| (model.is_ready(page), model.read_page(page)));
     }
 }
 
@@ -458,11 +459,43 @@ fn unknown_sections_are_skipped_unless_required() {
 fn many_threads_may_use_a_model_first() {
     let (dag, _, bytes) = pack(&DagOptions { splits: 3000, ..DagOptions::default() });
     let model = PackedModel::from_vec(bytes).unwrap();
-    assert!(!model.is_warm(600));
+    assert!(!model.is_ready(PackedModel::page_of(600)));
     std::thread::scope(|scope| {
         for _ in 0..4 {
             scope.spawn(|| compare_splits(&model, &dag));
         }
     });
-    assert!(model.is_warm(600));
+    assert!(model.is_ready(PackedModel::page_of(600)));
+}
+
+#[test]
+fn a_thumbnail_finds_room_where_some_was_left() {
+    let (dag, complete) = random_dag(&DagOptions::default());
+    let plain = write_to_vec(&dag, &complete, &Metadata::default()).unwrap();
+    let bare = PackedModel::from_vec(plain.clone()).unwrap();
+    assert_eq!(bare.thumbnail(), Ok(None));
+    assert!(thumbnail_edits(&bare, b"png").is_err(), "no room");
+
+    let metadata = Metadata { leaves_room_for_thumbnail: true, ..Metadata::default() };
+    let bytes = write_to_vec(&dag, &complete, &metadata).unwrap();
+    let model = PackedModel::from_vec(bytes.clone()).unwrap();
+    assert_eq!(model.thumbnail(), Ok(None));
+    let picture: Vec<u8> = (0..1001u32).map(|i| ((i * i) >> 3) as u8).collect();
+    let mut out = std::io::Cursor::new(bytes);
+    for (at, bytes) in thumbnail_edits(&model, &picture).unwrap() {
+        out.set_position(at);
+        std::io::Write::write_all(&mut out, &bytes).unwrap();
+    }
+    let bytes = out.into_inner();
+    assert_eq!(verify(Arc::new(bytes.clone())).unwrap().hash, complete.hash.0);
+    let with = PackedModel::from_vec(bytes.clone()).unwrap();
+    assert_eq!(with.thumbnail(), Ok(Some(&picture[..])));
+    assert_eq!(with.metadata(), bare.metadata());
+    assert!(thumbnail_edits(&with, b"png").is_err(), "the room is taken");
+    let mut spoiled = bytes;
+    let last = spoiled.len() - 10;
+    spoiled[last] ^= 1;
+    let spoiled = PackedModel::from_vec(spoiled).expect("it is checked when it is asked for");
+    assert_eq!(spoiled.thumbnail().unwrap_err().section(), Some("thumbnail"));
+    assert_eq!(spoiled.damage(), None, "the model can be streamed all the same");
 }

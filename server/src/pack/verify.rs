@@ -116,6 +116,12 @@ fn check_forest(model: &PackedModel) -> Result<(), PackError> {
             return Err(damaged(Section::OpPages, format!("spawn {spawn} has a larger error than the one before it")));
         }
         last_error = Some(bounds.error);
+        let info = model.info();
+        let is_inside = (0..3).all(|k| (info.box_min[k]..=info.box_max[k]).contains(&bounds.center[k]));
+        if !is_inside || bounds.radius.decode() > 2.0 * bounds.error.decode() {
+            let reason = format!("the sphere of spawn {spawn} is centred outside the model or has twice its error");
+            return Err(damaged(Section::OpPages, reason));
+        }
         for first in model.spawn_first_splits(spawn)? {
             edge(Some((spawn, &bounds)), root_vertex, first, Section::SpawnPages)?;
             root_vertex += 1;

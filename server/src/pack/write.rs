@@ -73,7 +73,8 @@ pub(crate) fn write_splits(
 ) -> Result<u64, WriteError> {
     let context = check(outline, complete)?;
     metadata.check().map_err(invalid)?;
-    let mut sections = Sections::begin(out)?;
+    let optional = usize::from(metadata.leaves_room_for_thumbnail);
+    let mut sections = Sections::begin(out, Section::REQUIRED.len() + optional)?;
 
     sections.put(Section::Model, bytemuck::bytes_of(&model_fields(outline, complete, &context)))?;
     let json = serde_json::to_vec(metadata).map_err(|e| invalid(e.to_string()))?;
@@ -101,6 +102,9 @@ pub(crate) fn write_splits(
         pages.put(sections.out, bytes)
     })?;
     sections.end_pages(pages, Section::OpPages, Section::OpDirectory)?;
+    if metadata.leaves_room_for_thumbnail {
+        sections.put(Section::Thumbnail, &[])?;
+    }
     sections.finish()
 }
 
@@ -355,9 +359,9 @@ struct Sections<'a, W> {
 }
 
 impl<'a, W: Write + Seek> Sections<'a, W> {
-    fn begin(out: &'a mut W) -> Result<Self, WriteError> {
+    fn begin(out: &'a mut W, count: usize) -> Result<Self, WriteError> {
         let begin = out.stream_position()?;
-        let at = size_of::<FileHeader>() + Section::ALL.len() * size_of::<SectionEntry>();
+        let at = size_of::<FileHeader>() + count * size_of::<SectionEntry>();
         out.write_all(&vec![0; at])?;
         Ok(Self { out, begin, at: at as u64, entries: Vec::new() })
     }
@@ -371,7 +375,7 @@ impl<'a, W: Write + Seek> Sections<'a, W> {
     fn close(&mut self, section: Section, bytes: u64, checksum: u64) -> Result<(), WriteError> {
         self.entries.push(SectionEntry {
             kind: section as u32,
-            flags: SECTION_REQUIRED,
+            flags: if Section::REQUIRED.contains(&section) { SECTION_REQUIRED } else { 0 },
             offset: self.at,
             bytes,
             checksum,

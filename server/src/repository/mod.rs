@@ -13,14 +13,14 @@ mod tests;
 
 use std::collections::HashMap;
 use std::fs::File;
-use std::io::{self, BufWriter};
+use std::io::{self, BufWriter, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 pub use catalogue::{ModelEntry, ModelState};
 pub use model::{ModelId, ModelIdError};
 
-use crate::pack::{PackError, PackedModel, VerifyReport, verify};
+use crate::pack::{PackError, PackedModel, VerifyReport, WriteError, thumbnail_edits, verify};
 use model::OpenModel;
 pub use store::Original;
 use store::Store;
@@ -202,6 +202,37 @@ impl Repository {
         self.store.retain_original(id, original.as_ref().map(Original::name));
         original.into_iter().for_each(|mut original| original.is_used());
         Ok(written)
+    }
+
+    /// [`publish_with`](Self::publish_with) of a pack that was written [with room](crate::pack::Metadata::leaves_room_for_thumbnail), with
+    /// the thumbnail that `draw` makes of it.
+    ///
+    /// # Errors
+    /// As there; [`RepositoryError::Write`] with the error of `draw` too.
+    pub fn publish_with_thumbnail<T, E>(
+        &self,
+        id: &ModelId,
+        original: Option<Original>,
+        write: impl FnOnce(&mut BufWriter<File>) -> Result<T, E>,
+        draw: impl FnOnce(&PackedModel) -> Result<Vec<u8>, E>,
+    ) -> Result<T, RepositoryError>
+    where
+        E: Into<Box<dyn std::error::Error + Send + Sync>> + From<WriteError> + From<PackError> + From<io::Error>,
+    {
+        self.publish_with(id, original, |out| {
+            let written = write(out)?;
+            out.flush()?;
+            let edits = {
+                let model = PackedModel::open(Arc::new(mmap::map(out.get_ref())?))?;
+                thumbnail_edits(&model, &draw(&model)?)?
+            };
+            // Nothing maps the file any more.
+            for (at, bytes) in edits {
+                out.seek(SeekFrom::Start(at))?;
+                out.write_all(&bytes)?;
+            }
+            Ok::<T, E>(written)
+        })
     }
 
     fn lock(&self) -> MutexGuard<'_, HashMap<ModelId, OpenModel>> {

@@ -1,7 +1,8 @@
 //! One session between two bounded channels: frames in, frames out, and the only clock that its core sees.
 //!
 //! The core itself lives on the compute threads: each call to it is one slice of the [`Pool`]. Nothing is asked of a core
-//! before there is room for its answer, so a slow link costs no work and the newest view wins.
+//! before there is room for its answer, so a slow link costs no work and the newest view wins. Pages that a core wants go to the
+//! [`PageReader`](super::PageReader), and the core is told when some were read.
 
 use std::time::Duration;
 
@@ -10,8 +11,9 @@ use lodestream_protocol::time::Timestamp;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep_until};
 
-use super::pool::{Pool, PoolError};
-use crate::session::{Session, SessionError, SessionStats};
+use super::pool::PoolError;
+use super::{Reading, Workers};
+use crate::session::{Session, SessionError, SessionStats, WantedPages};
 
 /// A core that says "call me again" for a time gone by is called after this long, or it would keep a thread busy.
 const SHORTEST_WAIT: Duration = Duration::from_millis(1);
@@ -30,6 +32,13 @@ pub trait Core: Send + 'static {
     fn poll_transmit(&mut self, now: Timestamp) -> Result<Option<Vec<u8>>, SessionError>;
     /// See [`Session::poll_timeout`].
     fn poll_timeout(&self) -> Option<Timestamp>;
+    /// See [`Session::poll_wanted`].
+    fn poll_wanted(&mut self) -> Option<WantedPages>;
+    /// See [`Session::handle_pages`].
+    ///
+    /// # Errors
+    /// [`SessionError`] ends the session.
+    fn handle_pages(&mut self) -> Result<(), SessionError>;
     /// See [`Session::stats`].
     fn stats(&self) -> SessionStats;
 }
@@ -45,6 +54,14 @@ impl Core for Session {
 
     fn poll_timeout(&self) -> Option<Timestamp> {
         self.poll_timeout()
+    }
+
+    fn poll_wanted(&mut self) -> Option<WantedPages> {
+        self.poll_wanted()
+    }
+
+    fn handle_pages(&mut self) -> Result<(), SessionError> {
+        self.handle_pages()
     }
 
     fn stats(&self) -> SessionStats {
@@ -120,20 +137,27 @@ pub struct SessionReport {
 /// session, so whoever moves frames between socket and channels can live in it.
 pub async fn drive(
     core: Box<dyn Core>,
-    pool: &Pool,
+    workers: &Workers,
     hello_timeout: Duration,
     inbound: mpsc::Receiver<Vec<u8>>,
     outbound: mpsc::Sender<Vec<u8>>,
     interrupted: impl Future<Output = SessionEnd>,
 ) -> SessionReport {
-    let mut driver = Driver { core: Some(core), pool, started: Instant::now(), wake: None, wants_transmit: false };
+    let mut driver = Driver {
+        core: Some(core),
+        workers,
+        reading: workers.reader.reading(),
+        started: Instant::now(),
+        wake: None,
+        wants_transmit: false,
+    };
     let end = tokio::select! {
         biased;
         end = interrupted => end,
         end = driver.run(hello_timeout, inbound, outbound) => end,
     };
     let stats = match driver.core.take() {
-        Some(core) => pool.run(move || core.stats()).await.ok(),
+        Some(core) => workers.pool.run(move || core.stats()).await.ok(),
         None => None,
     };
     SessionReport { end, stats }
@@ -142,7 +166,8 @@ pub async fn drive(
 struct Driver<'a> {
     /// `None` while a slice has it.
     core: Option<Box<dyn Core>>,
-    pool: &'a Pool,
+    workers: &'a Workers,
+    reading: Reading,
     started: Instant,
     /// When to ask for a frame again although none came in.
     wake: Option<Instant>,
@@ -177,6 +202,10 @@ impl Driver<'_> {
                     Ok(room) => self.transmit(room).await,
                     Err(_) => return SessionEnd::PeerGone,
                 },
+                arrived = self.reading.arrived() => match arrived {
+                    Ok(()) => self.handle_pages().await,
+                    Err(lost) => Err(SessionEnd::Lost(lost)),
+                },
                 () = sleep_until(wake.unwrap_or(self.started)), if !self.wants_transmit && wake.is_some() => {
                     self.wants_transmit = true;
                     Ok(())
@@ -190,6 +219,12 @@ impl Driver<'_> {
 
     async fn handle(&mut self, frame: Vec<u8>) -> Result<(), SessionEnd> {
         self.slice(move |core, now| core.handle_frame(now, &frame)).await?;
+        self.wants_transmit = true;
+        Ok(())
+    }
+
+    async fn handle_pages(&mut self) -> Result<(), SessionEnd> {
+        self.slice(|core, _| core.handle_pages()).await?;
         self.wants_transmit = true;
         Ok(())
     }
@@ -209,16 +244,20 @@ impl Driver<'_> {
     ) -> Result<T, SessionEnd> {
         let mut core = self.core.take().expect("a session runs one slice at a time");
         let started = self.started;
-        let (core, result, timeout) = self
+        let (core, result, timeout, wanted) = self
+            .workers
             .pool
             .run(move || {
                 let result = call(core.as_mut(), Timestamp(started.elapsed()));
-                let timeout = core.poll_timeout();
-                (core, result, timeout)
+                let (timeout, wanted) = (core.poll_timeout(), core.poll_wanted());
+                (core, result, timeout, wanted)
             })
             .await
             .map_err(SessionEnd::Lost)?;
         self.core = Some(core);
+        if let Some(wanted) = wanted {
+            self.reading.want(wanted);
+        }
         self.wake = timeout.map(|at| (self.started + at.0).max(Instant::now() + SHORTEST_WAIT));
         Ok(result?)
     }
@@ -227,6 +266,7 @@ impl Driver<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::runtime::{PageReader, Pool};
     use std::num::NonZeroUsize;
 
     /// Answers each frame with as many frames as its first byte says, and wakes itself once 50 ms after a frame.
@@ -263,6 +303,14 @@ mod tests {
             self.wake
         }
 
+        fn poll_wanted(&mut self) -> Option<WantedPages> {
+            None
+        }
+
+        fn handle_pages(&mut self) -> Result<(), SessionError> {
+            Ok(())
+        }
+
         fn stats(&self) -> SessionStats {
             SessionStats { batches: self.sent, ..SessionStats::default() }
         }
@@ -272,18 +320,23 @@ mod tests {
         frames: mpsc::Sender<Vec<u8>>,
         answers: mpsc::Receiver<Vec<u8>>,
         report: tokio::task::JoinHandle<SessionReport>,
-        pool: std::sync::Arc<Pool>,
+        workers: std::sync::Arc<Workers>,
+    }
+
+    fn workers() -> std::sync::Arc<Workers> {
+        let threads = NonZeroUsize::MIN;
+        std::sync::Arc::new(Workers { pool: Pool::new(threads, 4).unwrap(), reader: PageReader::new(threads).unwrap() })
     }
 
     fn start(hello_timeout: Duration, interrupted: impl Future<Output = SessionEnd> + Send + 'static) -> Session {
-        let pool = std::sync::Arc::new(Pool::new(NonZeroUsize::MIN, 4).unwrap());
+        let workers = workers();
         let (frames, inbound) = mpsc::channel(4);
         let (outbound, answers) = mpsc::channel(1);
         let report = tokio::spawn({
-            let pool = std::sync::Arc::clone(&pool);
-            async move { drive(Box::new(Echo::default()), &pool, hello_timeout, inbound, outbound, interrupted).await }
+            let workers = std::sync::Arc::clone(&workers);
+            async move { drive(Box::new(Echo::default()), &workers, hello_timeout, inbound, outbound, interrupted).await }
         });
-        Session { frames, answers, report, pool }
+        Session { frames, answers, report, workers }
     }
 
     #[tokio::test]
@@ -305,7 +358,7 @@ mod tests {
         session.frames.send(vec![200]).await.unwrap();
         assert!(session.answers.recv().await.is_some());
         for _ in 0..50 {
-            session.pool.run(tokio::task::yield_now).await.unwrap().await;
+            session.workers.pool.run(tokio::task::yield_now).await.unwrap().await;
         }
         drop(session.frames);
         let report = session.report.await.unwrap();
@@ -320,7 +373,7 @@ mod tests {
                 session.frames.send(vec![byte]).await.unwrap();
             }
             let report = session.report.await.unwrap();
-            (report.end.code(), report.end.to_string(), session.pool.panics())
+            (report.end.code(), report.end.to_string(), session.workers.pool.panics())
         };
         assert_eq!(code(None).await, (CloseCode::Timeout, "no hello within 20ms".into(), 0));
         assert_eq!(code(Some(254)).await, (CloseCode::Malformed, "no such message".into(), 0));

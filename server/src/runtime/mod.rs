@@ -1,16 +1,27 @@
-//! What runs sessions: a driver for each, a pool of compute threads for all, admission and shutdown.
+//! What runs sessions: a driver for each, pools of threads that compute and that read for all, admission and shutdown.
 //!
 //! Sockets are [`http`](crate::http)'s business; what a session does with a frame is the [`Core`]'s.
 
 pub mod admission;
 pub mod driver;
 pub mod pool;
+pub mod reader;
 pub mod shutdown;
 
 pub use admission::{Admission, Admitted, Full};
 pub use driver::{Core, DriverSettings, SessionEnd, SessionReport, drive};
 pub use pool::{Pool, PoolError};
+pub use reader::{PageReader, Reading};
 pub use shutdown::Shutdown;
+
+/// The threads that sessions share.
+#[derive(Debug)]
+pub struct Workers {
+    /// They compute and never wait for the disk.
+    pub pool: Pool,
+    /// They read.
+    pub reader: PageReader,
+}
 
 /// Runs `future` to its end on `io_threads` threads that serve sockets and timers, and stops whatever else they ran.
 ///

@@ -4,6 +4,10 @@
 //! - [`Session::poll_transmit`] gives the next frame to send, chosen now: nothing is queued, so the newest view wins;
 //! - [`Session::poll_timeout`] says when to poll again although nothing came in.
 //!
+//! A session that [reads ahead](Session::reading_ahead) never touches a page that has not been read: [`Session::poll_wanted`]
+//! names those it needs, whoever may wait for the disk reads them, and [`Session::handle_pages`] is told. Until then the ops of
+//! such pages are as if they did not exist yet, and the view does not settle.
+//!
 //! `score` judges one op for a view, `select` finds the set of ops that a view asks for, `mirror` keeps the client's state
 //! and encodes, `pacer` says how much may be on its way.
 
@@ -11,6 +15,8 @@ mod mirror;
 mod pacer;
 pub mod score;
 mod select;
+#[cfg(test)]
+mod tests;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -28,9 +34,9 @@ use lodestream_protocol::wire;
 use self::mirror::{BatchPlan, Mirror, MirrorError};
 use self::pacer::Pacer;
 use self::score::Scorer;
-use self::select::select;
+use self::select::{PageAccess, select};
 pub use self::select::{ops_by_error, ops_for_view};
-use crate::pack::{PackError, PackedModel};
+use crate::pack::{PackError, PackedModel, PageId};
 
 /// How long after the last view an op stays although its priority fell a little below the threshold.
 const HYSTERESIS: Duration = Duration::from_millis(250);
@@ -38,8 +44,11 @@ const HYSTERESIS: Duration = Duration::from_millis(250);
 const HYSTERESIS_SHARE: f32 = 0.7;
 /// Bytes that a split is taken to cost when a batch is sized.
 const BYTES_PER_SPLIT: usize = 3;
-/// Ops that every batch may have, however small the allowance: fewer would be all header.
+/// Splits that every batch may have, however small the allowance: fewer would be all header.
 const MIN_OPS: usize = 64;
+/// Bytes that a face of a spawn is taken to cost, and a colour of a vertex.
+const BYTES_PER_SPAWNED_FACE: usize = 1;
+const BYTES_PER_SPAWNED_COLOR: usize = 3;
 
 /// What a server decides for all its sessions.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -118,10 +127,20 @@ pub struct SessionStats {
     pub heap_bytes: u64,
 }
 
+/// Pages that a session needs.
+#[derive(Clone, Debug)]
+pub struct WantedPages {
+    /// Of this model.
+    pub model: Arc<PackedModel>,
+    /// The most important first, at most 1,024. Replaces what was wanted before; empty if nothing is.
+    pub pages: Vec<PageId>,
+}
+
 /// One client's session.
 #[derive(Debug)]
 pub struct Session {
     model: Arc<PackedModel>,
+    access: PageAccess,
     config: SessionConfig,
     stats: SessionStats,
     /// Replies to control messages. Bounded: a hello is answered once, a reset only after all batches before it.
@@ -160,13 +179,53 @@ struct Work {
     lambda: f32,
     error: f32,
     is_limited: bool,
+    /// Pages without which there may be more to do, see [`select`](select::Selection::missing).
+    missing: Vec<PageId>,
+    /// Whether [`Session::poll_wanted`] has named them.
+    is_announced: bool,
     has_settled: bool,
 }
 
 impl Session {
-    /// A session on `model`, waiting for the client's hello.
+    /// A session on `model`, waiting for the client's hello. Reads pages where it needs them and waits for the disk.
     pub fn new(model: Arc<PackedModel>, config: SessionConfig) -> Self {
-        Self { model, config, stats: SessionStats::default(), control: VecDeque::new(), running: None }
+        Self::with_access(model, config, PageAccess::Blocking)
+    }
+
+    /// A session that never waits for the disk (as long as the system keeps the pages that were read): see the module.
+    pub fn reading_ahead(model: Arc<PackedModel>, config: SessionConfig) -> Self {
+        Self::with_access(model, config, PageAccess::ReadAhead)
+    }
+
+    fn with_access(model: Arc<PackedModel>, config: SessionConfig, access: PageAccess) -> Self {
+        Self { model, access, config, stats: SessionStats::default(), control: VecDeque::new(), running: None }
+    }
+
+    /// Pages that the current view needs, if that has changed since the last call. To be called after
+    /// [`poll_transmit`](Self::poll_transmit).
+    pub fn poll_wanted(&mut self) -> Option<WantedPages> {
+        let work = self.running.as_mut()?.work.as_mut().filter(|work| !work.is_announced)?;
+        work.is_announced = true;
+        Some(WantedPages { model: Arc::clone(&self.model), pages: work.missing.clone() })
+    }
+
+    /// Some of the pages wanted were read, or could not be. [`poll_transmit`](Self::poll_transmit) should be called next.
+    ///
+    /// # Errors
+    /// [`SessionError::Model`] if the model was found damaged.
+    pub fn handle_pages(&mut self) -> Result<(), SessionError> {
+        if let Some(damage) = self.model.damage() {
+            return Err(damage.clone().into());
+        }
+        let Some(running) = &mut self.running else { return Ok(()) };
+        let Some(work) = running.work.as_ref().filter(|work| !work.missing.is_empty()) else { return Ok(()) };
+        // Selecting anew costs as much as for a new view: once for all that was wanted, or when the link would idle.
+        let is_ready = |&page: &PageId| self.model.is_ready(page);
+        let idles = work.next == work.pending.len();
+        if work.missing.iter().all(is_ready) || idles && work.missing.iter().any(is_ready) {
+            running.work = None;
+        }
+        Ok(())
     }
 
     /// Takes one frame from the client.
@@ -229,16 +288,16 @@ impl Session {
             return Ok(None);
         }
         if running.work.is_none() {
-            running.work = Some(Work::new(&self.model, &current.view, &running.mirror)?);
+            running.work = Some(Work::new(&self.model, self.access, &current.view, &running.mirror)?);
         }
         let work = running.work.as_mut().expect("made above");
         if work.has_settled {
             return Ok(None);
         }
-        if now.since(current.received_at) >= HYSTERESIS {
+        if now.since(current.received_at) >= HYSTERESIS && work.missing.is_empty() {
             work.reluctant = SlotSet::default();
         }
-        if let Some(mut plan) = work.next_batch(&running.mirror, current.view.triangle_limit, allowance) {
+        if let Some(mut plan) = work.next_batch(&self.model, &running.mirror, current.view.triangle_limit, allowance)? {
             let (ops, counts, applied) = running.mirror.batch(&self.model, &mut plan)?;
             work.next += applied;
             running.last_seq.0 += 1;
@@ -278,11 +337,14 @@ impl Session {
     pub fn poll_timeout(&self) -> Option<Timestamp> {
         let running = self.running.as_ref()?;
         let current = running.view.as_ref()?;
-        if running.work.as_ref().is_some_and(|work| work.has_settled) {
+        let work = running.work.as_ref();
+        if work.is_some_and(|work| work.has_settled || work.waits_for_pages()) {
             return None;
         }
-        let rested = current.received_at + HYSTERESIS;
-        Some(running.pacer.next_refill().map_or(rested, |refill| refill.min(rested)))
+        // Once the view has rested, or where pages are missing, nothing but a frame from the client changes what can be sent.
+        let is_reluctant = work.is_some_and(|work| work.missing.is_empty() && !work.reluctant.is_empty());
+        let rested = is_reluctant.then_some(current.received_at + HYSTERESIS);
+        [running.pacer.next_refill(), rested].into_iter().flatten().min()
     }
 
     /// Totals so far.
@@ -346,14 +408,16 @@ impl Running {
 }
 
 impl Work {
-    fn new(model: &PackedModel, view: &View, mirror: &Mirror) -> Result<Self, PackError> {
-        let scorer = Scorer::new(view, &model.info().lattice, model.info().is_open);
-        let selection = select(model, &scorer, view.triangle_limit)?;
+    fn new(model: &PackedModel, access: PageAccess, view: &View, mirror: &Mirror) -> Result<Self, PackError> {
+        let scorer = Scorer::new(view, model.info());
+        let selection = select(model, &scorer, view.triangle_limit, access)?;
+        let is_whole = selection.missing.is_empty();
         let (mut stale, mut reluctant) = (SlotSet::default(), SlotSet::default());
         for (op, slot) in mirror.applied() {
             if !selection.set.contains(&op) {
                 stale.insert(slot);
-                if scorer.priority(&model.bounds(op)?) > HYSTERESIS_SHARE * selection.lambda {
+                // What a part of P* leaves out may belong to the whole.
+                if !is_whole || scorer.priority(&model.bounds(op)?) > HYSTERESIS_SHARE * selection.lambda {
                     reluctant.insert(slot);
                 }
             }
@@ -368,26 +432,60 @@ impl Work {
             lambda: selection.lambda,
             error: selection.error,
             is_limited: selection.is_limited,
+            is_announced: access == PageAccess::Blocking,
+            missing: selection.missing,
             has_settled: false,
         })
     }
 
     fn is_done(&self) -> bool {
-        self.next == self.pending.len() && self.stale.is_empty()
+        self.next == self.pending.len() && self.stale.is_empty() && self.missing.is_empty()
+    }
+
+    /// Whether nothing is left to do before a page was read.
+    fn waits_for_pages(&self) -> bool {
+        self.next == self.pending.len() && !self.missing.is_empty()
     }
 
     /// What to do with an allowance of so many bytes, or `None` when there is nothing to do now.
-    fn next_batch(&mut self, mirror: &Mirror, limit: u32, allowance: usize) -> Option<BatchPlan<'_>> {
+    fn next_batch(
+        &mut self,
+        model: &PackedModel,
+        mirror: &Mirror,
+        limit: u32,
+        allowance: usize,
+    ) -> Result<Option<BatchPlan<'_>>, PackError> {
         let is_over = mirror.replica().triangle_count() > limit;
         let budget = (allowance / BYTES_PER_SPLIT).max(MIN_OPS).min(MAX_OPS_PER_BATCH as usize / 4);
         let left = &self.pending[self.next..];
-        let ops = if is_over { &[] } else { &left[..left.len().min(budget)] };
+        let ops = if is_over { &[] } else { &left[..fitting(model, left, budget)?] };
         let may_go = |slot| self.stale.contains(slot) && !self.reluctant.contains(slot);
         if ops.is_empty() && !is_over && !mirror.replica().collapsible().iter().any(may_go) {
-            return None;
+            return Ok(None);
         }
         // What a view left behind goes in small shares while there are splits to send, then as fast as the link allows.
         let spare_collapses = if left.is_empty() { budget } else { budget / 4 } as u32;
-        Some(BatchPlan { ops, stale: &mut self.stale, reluctant: &mut self.reluctant, spare_collapses, limit })
+        Ok(Some(BatchPlan { ops, stale: &mut self.stale, reluctant: &mut self.reluctant, spare_collapses, limit }))
     }
+}
+
+/// How many of `ops` cost as much as `budget` splits, at least one if there are any. A spawn's positions are sent as they are.
+fn fitting(model: &PackedModel, ops: &[u32], budget: usize) -> Result<usize, PackError> {
+    let info = model.info();
+    let color = if info.has_colors { BYTES_PER_SPAWNED_COLOR } else { 0 };
+    let per_vertex = (3 * usize::from(info.lattice.bits)).div_ceil(8) + color;
+    let mut bytes = budget * BYTES_PER_SPLIT;
+    for (i, &op) in ops.iter().enumerate().take(budget) {
+        let cost = if op < model.spawn_count() {
+            model.spawn_vertices(op)? as usize * per_vertex
+                + model.spawn_triangles(op)? as usize * BYTES_PER_SPAWNED_FACE
+        } else {
+            BYTES_PER_SPLIT
+        };
+        if cost > bytes && i > 0 {
+            return Ok(i);
+        }
+        bytes = bytes.saturating_sub(cost);
+    }
+    Ok(ops.len().min(budget))
 }

@@ -1,7 +1,7 @@
 //! How much an op matters to a view: pure functions of its visibility sphere.
 
 use glam::DVec3;
-use lodestream_protocol::quant::Lattice;
+use lodestream_protocol::message::ModelInfo;
 use lodestream_protocol::view::{Plane, Projection, View};
 
 use crate::pack::record::{Bounds, Cone};
@@ -31,6 +31,8 @@ pub struct Scorer {
     /// Whether even errors of zero are wanted.
     wants_all: bool,
     threshold: f32,
+    /// Box of the complete mesh, in lattice steps.
+    model_box: [DVec3; 2],
 }
 
 /// Which way a cone of normals faces.
@@ -42,8 +44,9 @@ enum Facing {
 }
 
 impl Scorer {
-    /// Prepares a view of a model on `lattice`; `is_open` keeps what faces away.
-    pub fn new(view: &View, lattice: &Lattice, is_open: bool) -> Self {
+    /// Prepares a view of a model.
+    pub fn new(view: &View, model: &ModelInfo) -> Self {
+        let lattice = &model.lattice;
         let origin = DVec3::from_array(lattice.origin);
         let planes = view
             .planes()
@@ -74,11 +77,12 @@ impl Scorer {
             forward,
             corner_cosine,
             parallel,
-            culls_facing_away: !(view.two_sided || is_open),
+            culls_facing_away: !(view.two_sided || model.is_open),
             silhouette_factor: f64::from(view.silhouette_factor),
             complete: view.complete,
             wants_all: view.complete,
             threshold: if view.complete { 0.0 } else { view.tolerance_px },
+            model_box: [model.box_min, model.box_max].map(|q| DVec3::from_array(q.map(f64::from))),
         }
     }
 
@@ -97,6 +101,8 @@ impl Scorer {
             complete: true,
             wants_all: false,
             threshold: steps,
+            // Never looked at: complete views judge by error alone.
+            model_box: [DVec3::ZERO; 2],
         }
     }
 
@@ -144,6 +150,22 @@ impl Scorer {
             pixels *= self.silhouette_factor;
         }
         pixels as f32
+    }
+
+    /// Not less than the priority of any spawn whose error is at most so many lattice steps: its centre lies in the model's box
+    /// and its radius is at most twice its error, which [`verify`](fn@crate::pack::verify) checks.
+    pub(crate) fn most_of_spawn(&self, error: f32) -> f32 {
+        if self.complete {
+            return error;
+        }
+        let mut pixels = f64::from(error) * self.pixel_scale * self.silhouette_factor.max(1.0);
+        if self.parallel.is_none() {
+            let [low, high] = self.model_box;
+            let distance = self.eye.distance(self.eye.clamp(low, high));
+            pixels /= ((distance - 2.0 * f64::from(error)) * self.corner_cosine).max(self.near);
+        }
+        // The sums of `priority` are rounded in another order.
+        (pixels * (1.0 + 1e-6)) as f32
     }
 
     fn facing(&self, cone: &Cone, to_center: DVec3, distance: f64, radius: f64) -> Facing {

@@ -5,7 +5,12 @@
 //! not fit is skipped. The result depends on the view and the model alone.
 //!
 //! Priorities fall along the vertex forest and forest parents have smaller ids, so a best-first walk from the roots meets the
-//! ops in exactly that order. Cost: O(k log k) for k ops selected, whatever the size of the model.
+//! ops in exactly that order. Spawns have no parents, but they are stored by error descending, so those of a page are judged
+//! only once the walk has come down to what the largest of them may matter. Cost: O(k log k) for k ops selected, whatever the
+//! size of the model, and about 20 ns for each spawn that is judged.
+//!
+//! Where pages are read ahead, an op whose page has not been read is passed over with all that depends on it, and the page is
+//! named: the selection is then a part of P*. Where the limit may bind, it is the part that comes before whatever is missing.
 
 use std::collections::BinaryHeap;
 use std::hash::BuildHasherDefault;
@@ -13,8 +18,15 @@ use std::hash::BuildHasherDefault;
 use lodestream_protocol::view::View;
 
 use super::score::Scorer;
-use crate::pack::record::{CutRef, NO_OP};
-use crate::pack::{PackError, PackedModel};
+use crate::pack::record::{Bounds, Cone, CutRef, Magnitude, NO_OP};
+use crate::pack::{PAGE_OPS, PackError, PackedModel, PageId};
+
+/// Most pages that one selection names: what a walk finds missing beyond them, the next one names. 16 MB of pages of the usual
+/// size, and 8 KB of names.
+pub(crate) const MAX_MISSING: usize = 1024;
+
+/// Pages of spawns that are asked for at once when the next one is missing.
+const SPAWN_PAGES_AHEAD: u32 = 16;
 
 /// Hash map keyed by op id.
 pub(crate) type OpMap<V> = std::collections::HashMap<u32, V, BuildHasherDefault<OpHasher>>;
@@ -55,6 +67,17 @@ pub(crate) struct Selection {
     pub(crate) error: f32,
     /// Whether the limit kept wanted ops out.
     pub(crate) is_limited: bool,
+    /// Pages that have to be read before this is P*, those of the most important ops first; at most [`MAX_MISSING`].
+    pub(crate) missing: Vec<PageId>,
+}
+
+/// What happens where a page has not been read yet.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) enum PageAccess {
+    /// It is read and checked, whoever asks.
+    Blocking,
+    /// It is named as missing.
+    ReadAhead,
 }
 
 /// Triangles that an op adds.
@@ -71,8 +94,8 @@ pub(crate) fn triangles_of(model: &PackedModel, op: u32) -> Result<u32, PackErro
 /// # Errors
 /// [`PackError`] if a page is damaged.
 pub fn ops_for_view(model: &PackedModel, view: &View) -> Result<Vec<u32>, PackError> {
-    let scorer = Scorer::new(view, &model.info().lattice, model.info().is_open);
-    Ok(select(model, &scorer, view.triangle_limit)?.ops)
+    let scorer = Scorer::new(view, model.info());
+    Ok(select(model, &scorer, view.triangle_limit, PageAccess::Blocking)?.ops)
 }
 
 /// Every op with an error of more than `error` in model units, and what they need, within a triangle limit: parents before
@@ -85,29 +108,39 @@ pub fn ops_by_error(model: &PackedModel, error: Option<f64>, limit: u32) -> Resu
         Some(error) => Scorer::by_error((error / model.info().lattice.step) as f32),
         None => Scorer::by_error(0.0).with_all(),
     };
-    Ok(select(model, &scorer, limit)?.ops)
+    Ok(select(model, &scorer, limit, PageAccess::Blocking)?.ops)
 }
 
-/// Computes P* for a view under a triangle limit.
-pub(crate) fn select(model: &PackedModel, scorer: &Scorer, limit: u32) -> Result<Selection, PackError> {
+/// Computes P* for a view under a triangle limit, or as much of it as can be told from the pages that were read.
+pub(crate) fn select(
+    model: &PackedModel,
+    scorer: &Scorer,
+    limit: u32,
+    access: PageAccess,
+) -> Result<Selection, PackError> {
     let mut walk = Walk {
         model,
         scorer,
+        pages: Pages { model, access, missing: Vec::new() },
         heap: BinaryHeap::new(),
+        spawns: Spawns { next_page: 0, largest_error: f32::INFINITY },
         out: Selection { triangles: model.base().faces.len() as u32, lambda: scorer.threshold(), ..Default::default() },
     };
     for &op in model.base_first_splits() {
         walk.offer(op)?;
     }
-    for spawn in 0..model.spawn_count() {
-        walk.offer(spawn)?;
-    }
     let mut closure = Closure::default();
-    while let Some(key) = walk.heap.pop() {
+    // How much was selected when the first page was missing, and its triangles: all that is certain to come first.
+    let mut certain = None;
+    loop {
+        walk.offer_spawns(limit)?;
+        if certain.is_none() && !walk.pages.missing.is_empty() {
+            certain = Some((walk.out.ops.len(), walk.out.triangles));
+        }
+        let Some(key) = walk.heap.pop() else { break };
         let (priority, op) = unpack(key);
         if !walk.out.set.contains(&op) {
-            closure.gather(model, &walk.out.set, op)?;
-            match walk.apply(&closure, limit)? {
+            match walk.take(op, limit, &mut closure)? {
                 Fit::All => {}
                 Fit::SkippedSpawn => {
                     walk.leave_out(priority);
@@ -117,6 +150,7 @@ pub(crate) fn select(model: &PackedModel, scorer: &Scorer, limit: u32) -> Result
                     walk.leave_out(priority);
                     break;
                 }
+                Fit::NotYet => continue,
             }
         }
         if op < model.spawn_count() {
@@ -129,20 +163,73 @@ pub(crate) fn select(model: &PackedModel, scorer: &Scorer, limit: u32) -> Result
             }
         }
     }
-    Ok(walk.out)
+    let mut out = walk.out;
+    if let Some((count, triangles)) = certain
+        && u64::from(limit) < model.info().triangles
+    {
+        // What is missing may leave no room for the rest, and what is sent in vain is sent twice.
+        out.ops.drain(count..).for_each(|op| _ = out.set.remove(&op));
+        out.triangles = triangles;
+    }
+    out.missing = walk.pages.missing;
+    Ok(out)
 }
 
 struct Walk<'a> {
     model: &'a PackedModel,
     scorer: &'a Scorer,
+    pages: Pages<'a>,
     heap: BinaryHeap<u64>,
+    spawns: Spawns,
     out: Selection,
+}
+
+/// The pages of ops that a walk may look into.
+struct Pages<'a> {
+    model: &'a PackedModel,
+    access: PageAccess,
+    missing: Vec<PageId>,
+}
+
+impl Pages<'_> {
+    /// Whether a page can be used now; else it is noted.
+    #[inline]
+    fn has(&mut self, page: PageId) -> bool {
+        if self.access == PageAccess::Blocking || self.model.is_ready(page) {
+            return true;
+        }
+        self.note(page);
+        false
+    }
+
+    #[cold]
+    fn note(&mut self, page: PageId) {
+        // Ops of one page mostly come soon after one another; what slips through costs the reader a look.
+        if self.missing.len() < MAX_MISSING && !self.missing.iter().rev().take(64).any(|&noted| noted == page) {
+            self.missing.push(page);
+        }
+    }
+
+    /// Whether the page of an op can be used, and of a spawn that of its patch too.
+    #[inline]
+    fn has_op(&mut self, op: u32) -> bool {
+        self.has(PackedModel::page_of(op))
+            && (op >= self.model.spawn_count() || self.has(PackedModel::patch_page_of(op)))
+    }
+}
+
+/// Which spawns were judged: all those before a page.
+struct Spawns {
+    next_page: u32,
+    /// No later spawn has a larger error, in lattice steps.
+    largest_error: f32,
 }
 
 enum Fit {
     All,
     Part,
     SkippedSpawn,
+    NotYet,
 }
 
 /// Orders by priority descending, then id ascending, as a max-heap key. Priorities are not negative, so their bits order
@@ -157,16 +244,72 @@ fn unpack(key: u64) -> (f32, u32) {
 
 impl Walk<'_> {
     fn offer(&mut self, op: u32) -> Result<(), PackError> {
-        if op == NO_OP {
+        if op == NO_OP || !self.pages.has(PackedModel::page_of(op)) {
             return Ok(());
         }
-        let priority = self.scorer.priority(&self.model.bounds(op)?);
+        self.judge(op, &self.model.bounds(op)?);
+        Ok(())
+    }
+
+    fn judge(&mut self, op: u32, bounds: &Bounds) {
+        let priority = self.scorer.priority(bounds);
         if self.scorer.wants(priority) {
             self.heap.push(pack(priority, op));
         } else {
             self.out.error = self.out.error.max(priority);
         }
+    }
+
+    /// Judges the next spawns as long as one of them may come before what the walk would take next.
+    fn offer_spawns(&mut self, limit: u32) -> Result<(), PackError> {
+        let pages = self.model.spawn_count().div_ceil(PAGE_OPS);
+        while self.spawns.next_page < pages {
+            let most = self.scorer.most_of_spawn(self.spawns.largest_error);
+            if !self.scorer.wants(most) {
+                self.out.error = self.out.error.max(most);
+                break;
+            }
+            if self.heap.peek().is_some_and(|&key| most < unpack(key).0) || self.is_full(limit) {
+                break;
+            }
+            let page = self.spawns.next_page;
+            if !self.pages.has(PageId::Ops(page)) {
+                (page + 1..pages.min(page + SPAWN_PAGES_AHEAD)).for_each(|page| _ = self.pages.has(PageId::Ops(page)));
+                // What these hold comes before what the others do, so there is nothing more to tell.
+                self.spawns.next_page = pages;
+                break;
+            }
+            self.judge_spawns(page)?;
+            self.spawns.next_page += 1;
+        }
         Ok(())
+    }
+
+    fn judge_spawns(&mut self, page: u32) -> Result<(), PackError> {
+        let tests = self.model.tests(page)?;
+        let rows = ((self.model.spawn_count() - tests.first_op) as usize).min(tests.error.len());
+        let mut centers: [Vec<i32>; 3] = Default::default();
+        for (column, out) in tests.center.iter().zip(&mut centers) {
+            column.decode_into(out);
+        }
+        for row in 0..rows {
+            let bounds = Bounds {
+                center: [centers[0][row], centers[1][row], centers[2][row]],
+                radius: Magnitude(tests.radius[row]),
+                error: Magnitude(tests.error[row]),
+                cone: Cone { axis: tests.axis.map(|axis| axis[row]), half_angle: tests.half_angle[row] },
+            };
+            self.judge(tests.first_op + row as u32, &bounds);
+        }
+        if let Some(&last) = tests.error[..rows].last() {
+            self.spawns.largest_error = Magnitude(last).decode();
+        }
+        Ok(())
+    }
+
+    /// Whether the limit has kept something out and no spawn fits any more.
+    fn is_full(&self, limit: u32) -> bool {
+        self.out.is_limited && limit.saturating_sub(self.out.triangles) < self.model.smallest_spawn()
     }
 
     fn leave_out(&mut self, priority: f32) {
@@ -177,7 +320,19 @@ impl Walk<'_> {
         }
     }
 
-    fn apply(&mut self, closure: &Closure, limit: u32) -> Result<Fit, PackError> {
+    /// Applies an op with its closure, as far as it fits.
+    fn take(&mut self, op: u32, limit: u32, closure: &mut Closure) -> Result<Fit, PackError> {
+        let room = limit.saturating_sub(self.out.triangles);
+        if room == 0 {
+            // Every op adds a triangle, so nothing else will fit either.
+            return Ok(Fit::Part);
+        }
+        if op < self.model.spawn_count() && self.model.spawn_triangles(op)? > room {
+            return Ok(Fit::SkippedSpawn);
+        }
+        if !closure.gather(self.model, &mut self.pages, &self.out.set, op)? {
+            return Ok(Fit::NotYet);
+        }
         for &op in &closure.ops {
             let triangles = triangles_of(self.model, op)?;
             let after = self.out.triangles.saturating_add(triangles);
@@ -202,11 +357,18 @@ struct Closure {
 }
 
 impl Closure {
-    /// Depth first over parents in stored order. Each op is entered once, so damaged parents cannot make it loop.
-    fn gather(&mut self, model: &PackedModel, present: &OpSet, op: u32) -> Result<(), PackError> {
+    /// Depth first over parents in stored order. Each op is entered once, so damaged parents cannot make it loop. False if a
+    /// page is missing; those of other parents are then asked for too.
+    fn gather(
+        &mut self,
+        model: &PackedModel,
+        pages: &mut Pages<'_>,
+        present: &OpSet,
+        op: u32,
+    ) -> Result<bool, PackError> {
         self.ops.clear();
         self.seen.clear();
-        self.enter(model, op)?;
+        let mut is_whole = self.enter(model, pages, op)?;
         while let Some((op, parents, count, next)) = self.stack.last_mut() {
             if *next == *count {
                 self.ops.push(*op);
@@ -216,16 +378,17 @@ impl Closure {
             let parent = parents[*next];
             *next += 1;
             if !present.contains(&parent) && !self.seen.contains(&parent) {
-                self.enter(model, parent)?;
+                is_whole &= self.enter(model, pages, parent)?;
             }
         }
-        Ok(())
+        Ok(is_whole)
     }
 
-    fn enter(&mut self, model: &PackedModel, op: u32) -> Result<(), PackError> {
+    fn enter(&mut self, model: &PackedModel, pages: &mut Pages<'_>, op: u32) -> Result<bool, PackError> {
         self.seen.insert(op);
-        let (parents, count) = if op < model.spawn_count() { ([NO_OP; 3], 0) } else { model.parents(op)? };
+        let has = pages.has_op(op);
+        let (parents, count) = if op < model.spawn_count() || !has { ([NO_OP; 3], 0) } else { model.parents(op)? };
         self.stack.push((op, parents, count, 0));
-        Ok(())
+        Ok(has)
     }
 }

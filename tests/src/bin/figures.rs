@@ -147,7 +147,7 @@ impl Subject {
         let mut ratios: Vec<f64> = (0..views)
             .map(|_| {
                 let view = self.random_view(&mut rng);
-                let scorer = Scorer::new(&view, &model.info().lattice, model.info().is_open);
+                let scorer = Scorer::new(&view, model.info());
                 let wanted = (0..model.op_count())
                     .filter(|&op| scorer.wants(scorer.priority(&model.bounds(op).expect("a sound pack"))))
                     .count();

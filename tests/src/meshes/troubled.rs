@@ -31,6 +31,29 @@ pub fn many_components(n: usize, seed: u64) -> TriMesh {
     out
 }
 
+/// A body and `n` parts around it, as a scan of a site with debris has them: three quarters tetrahedra, the others spheres of 20
+/// and 80 faces, of sizes over two decades, most of them small, thicker near the body. No two share a vertex.
+pub fn debris(n: usize, seed: u64) -> TriMesh {
+    let mut random = fastrand::Rng::with_seed(seed);
+    let mut out = noisy_sphere(5000, seed);
+    let parts = [tetrahedron(), icosphere(0), icosphere(1)];
+    for _ in 0..n {
+        let part = &parts[match random.u32(0..20) {
+            0..15 => 0,
+            15..19 => 1,
+            _ => 2,
+        }];
+        let size = 0.12 * 10f64.powf(-2.0 * random.f64().sqrt());
+        let direction = DVec3::new(random.f64() - 0.5, random.f64() - 0.5, random.f64() - 0.5).normalize_or(DVec3::Y);
+        let at = direction * (1.4 + 4.0 * random.f64() * random.f64());
+        let turn = glam::DQuat::from_axis_angle(direction, random.f64() * TAU);
+        let base = out.positions.len() as u32;
+        out.positions.extend(part.positions.iter().map(|p| (at + turn * DVec3::from_array(*p) * size).to_array()));
+        out.faces.extend(part.faces.iter().map(|f| f.map(|v| v + base)));
+    }
+    out
+}
+
 /// A sphere of about `triangles` faces (20 f^2 for the nearest f) with bumps of all sizes and scanner noise.
 pub fn noisy_sphere(triangles: usize, seed: u64) -> TriMesh {
     let f = ((triangles as f64 / 20.0).sqrt().round() as u32).max(1);

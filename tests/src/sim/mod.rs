@@ -4,4 +4,4 @@ mod link;
 mod pair;
 
 pub use link::{Link, LinkShape};
-pub use pair::{Pair, PairConfig};
+pub use pair::{Disk, Pair, PairConfig};

@@ -6,7 +6,7 @@ use std::time::Duration;
 use lodestream_client::core::{ClientConfig, ClientSession};
 use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::View;
-use lodestream_server::pack::PackedModel;
+use lodestream_server::pack::{PackedModel, PageId};
 use lodestream_server::session::{Session, SessionConfig};
 
 use super::link::{Link, LinkShape};
@@ -20,12 +20,28 @@ pub struct PairConfig {
     pub up: LinkShape,
     /// The client's wishes.
     pub client: ClientConfig,
+    /// How the server gets at pages.
+    pub disk: Disk,
+}
+
+/// Where a server's pages come from.
+#[derive(Clone, Copy, Debug)]
+pub enum Disk {
+    /// They are read where they are needed, at once.
+    Instant,
+    /// The server reads ahead: a disk with this seed reads any of the pages wanted, one after the other, each within so long.
+    Slow {
+        /// Same seed, same order.
+        seed: u64,
+        /// Longest time for a page.
+        latency: Duration,
+    },
 }
 
 impl Default for PairConfig {
     fn default() -> Self {
         let client = ClientConfig { view_interval: Duration::ZERO, ..ClientConfig::default() };
-        Self { down: LinkShape::INSTANT, up: LinkShape::INSTANT, client }
+        Self { down: LinkShape::INSTANT, up: LinkShape::INSTANT, client, disk: Disk::Instant }
     }
 }
 
@@ -41,24 +57,84 @@ pub struct Pair {
     down: Link,
     up: Link,
     kept: Option<[Vec<Vec<u8>>; 2]>,
+    reader: Option<Reader>,
+}
+
+/// Reads pages for the server, see [`Disk::Slow`].
+#[derive(Debug)]
+struct Reader {
+    model: Arc<PackedModel>,
+    rng: fastrand::Rng,
+    latency: Duration,
+    wanted: Vec<PageId>,
+    next_at: Timestamp,
+    pages_read: u32,
+}
+
+impl Reader {
+    fn want(&mut self, now: Timestamp, pages: Vec<PageId>) {
+        if self.wanted.is_empty() {
+            self.next_at = self.next_page_at(now);
+        }
+        self.wanted = pages;
+    }
+
+    fn next_page_at(&mut self, now: Timestamp) -> Timestamp {
+        now + self.latency.mul_f64(self.rng.f64())
+    }
+
+    fn next_arrival(&self) -> Option<Timestamp> {
+        (!self.wanted.is_empty()).then_some(self.next_at)
+    }
+
+    /// Reads the page that is due by `now`, if one is.
+    fn read(&mut self, now: Timestamp) -> bool {
+        if self.next_arrival().is_none_or(|at| at > now) {
+            return false;
+        }
+        let page = self.wanted.swap_remove(self.rng.usize(0..self.wanted.len()));
+        self.pages_read += u32::from(!self.model.is_ready(page));
+        // Damage is told by the model.
+        let _ = self.model.read_page(page);
+        self.next_at = self.next_page_at(now);
+        true
+    }
 }
 
 impl Pair {
     /// Two fresh ends.
     pub fn new(model: Arc<PackedModel>, config: PairConfig) -> Self {
+        let reader = match config.disk {
+            Disk::Instant => None,
+            Disk::Slow { seed, latency } => Some(Reader {
+                model: model.clone(),
+                rng: fastrand::Rng::with_seed(seed),
+                latency,
+                wanted: Vec::new(),
+                next_at: Timestamp::default(),
+                pages_read: model.ready_pages(),
+            }),
+        };
+        let session = if reader.is_some() { Session::reading_ahead } else { Session::new };
         Self {
-            server: Session::new(model, SessionConfig::default()),
+            server: session(model, SessionConfig::default()),
             client: ClientSession::new(config.client),
             now: Timestamp::default(),
             down: Link::new(config.down),
             up: Link::new(config.up),
             kept: None,
+            reader,
         }
     }
 
     /// Bytes of frames sent to the client so far.
     pub fn bytes_down(&self) -> u64 {
         self.down.bytes
+    }
+
+    /// Pages that [`Disk::Slow`] has read.
+    pub fn pages_read(&self) -> u32 {
+        self.reader.as_ref().map_or(0, |reader| reader.pages_read)
     }
 
     /// Keeps a copy of every frame from now on.
@@ -86,8 +162,13 @@ impl Pair {
     /// if nothing is left to wait for.
     pub fn step(&mut self, at_most: Duration) -> bool {
         self.exchange_all();
-        let next =
-            [self.down.next_arrival(), self.up.next_arrival(), self.client.poll_timeout(), self.server.poll_timeout()];
+        let next = [
+            self.down.next_arrival(),
+            self.up.next_arrival(),
+            self.client.poll_timeout(),
+            self.server.poll_timeout(),
+            self.reader.as_ref().and_then(Reader::next_arrival),
+        ];
         let Some(next) = next.into_iter().flatten().min() else { return false };
         self.now = next.max(self.now + Duration::from_micros(1)).min(self.now + at_most);
         true
@@ -141,6 +222,16 @@ impl Pair {
             self.keep(0, &frame);
             self.down.send(now, frame);
             moved = true;
+        }
+        if let Some(reader) = &mut self.reader {
+            assert_eq!(reader.model.ready_pages(), reader.pages_read, "the session read a page itself");
+            if let Some(wanted) = self.server.poll_wanted() {
+                reader.want(now, wanted.pages);
+            }
+            if reader.read(now) {
+                self.server.handle_pages().expect("the model is sound");
+                moved = true;
+            }
         }
         while let Some(frame) = self.down.receive(now) {
             self.client.handle_frame(now, &frame).expect("the server sends what the client takes");

@@ -277,6 +277,8 @@ pub(crate) fn whole_component(
             _ => Cone::ANY,
         };
     }
+    // Views stop judging spawns by their error alone, see `FORMAT.md`: large for its error, one would come too late.
+    bounds.error = bounds.error.max(bounds.radius);
     bounds
 }
 

@@ -3,10 +3,8 @@
 use glam::DVec3;
 use lodestream_protocol::quant::{Lattice, MAX_LATTICE_BITS};
 
-use crate::{
-    ingest::{hierarchy::Point, partition::MIN_DEFAULT_BITS},
-    mesh::TriMesh,
-};
+use crate::ingest::{hierarchy::Point, partition::MIN_DEFAULT_BITS};
+use crate::mesh::TriMesh;
 
 /// The lattice of `mesh`: `bits` if given, else the fewest for which a step is at most 1/16 of the mean edge and half the
 /// 1st-percentile edge (edges of zero length left out), within 12 to 21 bits.

@@ -8,18 +8,14 @@ use super::{
     quadric::{self, Quadric},
     surface::Surface,
 };
-use crate::{
-    ingest::{
-        chunks::{ChunkedMesh, patches},
-        hierarchy::{
-            Collapse, CollapseRecord, NONE, Point, RootFace, RootVertex,
-            bounds::{Carried, Normals, Sphere},
-            deviation::Samples,
-        },
-        spill::SpillError,
-    },
-    pack::record::{Bounds, Cone, Magnitude, WideCone},
+use crate::ingest::chunks::{ChunkedMesh, patches};
+use crate::ingest::hierarchy::{
+    Collapse, CollapseRecord, NONE, Point, RootFace, RootVertex,
+    bounds::{Carried, Normals, Sphere},
+    deviation::Samples,
 };
+use crate::ingest::spill::SpillError;
+use crate::pack::record::{Bounds, Cone, Magnitude, WideCone};
 
 /// Share of the faces that a node leaves for its parent to go on with: what eight children leave is one chunk again.
 const SHARE_LEFT: usize = 8;

@@ -566,7 +566,7 @@ fn real_meshes_are_what_they_are_in_memory() {
     paths.sort();
     assert!(!paths.is_empty());
     for path in paths {
-        let Ok((input, _)) = crate::ingest::read::read_mesh(&path) else { continue };
+        let Ok((input, _)) = crate::ingest::read::read_mesh_in_memory(&path) else { continue };
         let expected = clean(input.clone()).1;
         println!("{}: {expected}", path.display());
         for limits in [Limits::default(), Limits { vertices: 5000, faces: 3000 }] {
@@ -589,7 +589,7 @@ fn figures() {
     let Some(path) = std::env::var_os("LODESTREAM_PLY") else { return };
     let workspace = Workspace::new(&std::env::temp_dir(), 0);
     let raw = {
-        let (mesh, _) = crate::ingest::read::read_mesh(Path::new(&path)).unwrap();
+        let (mesh, _) = crate::ingest::read::read_mesh_in_memory(Path::new(&path)).unwrap();
         RawMesh::of(&mesh, &workspace).unwrap()
     };
     // Linux starts the peak anew; elsewhere it is not known.

@@ -199,7 +199,7 @@ fn a_directory_that_cannot_be_written_is_named() {
 #[ignore = "prints figures, proves nothing"]
 fn figures_of_assembly() {
     let Some(path) = std::env::var_os("LODESTREAM_SCAN") else { return };
-    let (mesh, _) = crate::ingest::read::read_mesh(Path::new(&path)).unwrap();
+    let (mesh, _) = crate::ingest::read::read_mesh_in_memory(Path::new(&path)).unwrap();
     let (mesh, _) = crate::ingest::clean::clean(mesh);
     // Processor seconds of the process, resident and peak bytes.
     let usage = || -> [f64; 3] {

@@ -12,7 +12,8 @@ use crate::ingest::hierarchy::{
     forest::{InCore, assemble},
 };
 use crate::ingest::report::{BuildReport, Timings};
-use crate::{mesh::TriMesh, pack::record::Dag};
+use crate::mesh::TriMesh;
+use crate::pack::record::Dag;
 
 /// Builds the vertex-split DAG of a clean mesh: each directed edge in at most one face, one fan at each vertex, no repeated
 /// corner. Boundaries, any number of components, faces without area, coincident vertices and the empty mesh are all fine;
@@ -21,13 +22,10 @@ use crate::{mesh::TriMesh, pack::record::Dag};
 /// # Errors
 /// [`SurfaceError`] names the first thing about the mesh or the options that will not do.
 pub(super) fn build(mesh: &TriMesh, options: &BuildOptions) -> Result<(Dag, BuildReport), SurfaceError> {
+    Surface::new(mesh.positions.len(), &mesh.faces)?;
     let lattice = lattice::choose(mesh, options.bits);
     let (mut points, faces) = order::by_place(&lattice::round(mesh, &lattice), &mesh.faces, lattice.bits);
-    let surface = match Surface::new(points.len(), &faces) {
-        Ok(surface) => surface,
-        // Said again in the caller's numbering.
-        Err(error) => return Err(Surface::new(mesh.positions.len(), &mesh.faces).err().unwrap_or(error)),
-    };
+    let surface = Surface::new(points.len(), &faces)?;
     for (v, point) in (0..).zip(&mut points) {
         point.is_boundary = surface.is_boundary(v);
     }
