@@ -50,7 +50,8 @@ fn the_judge_agrees_with_trying_everything() {
 /// The guarantee is a statistical one (TARGETS, row 22); a lasting breach of it is a bug.
 #[test]
 fn errors_keep_their_word() {
-    for (name, mesh) in [("sphere", meshes::colored_sphere(5))] {
+    {
+        let (name, mesh) = ("sphere", meshes::colored_sphere(5));
         let test = TestModel::new(mesh, None);
         let options = CalibrationOptions { views: 60, seed: 1, tolerance_px: None };
         let mut heard = Vec::new();
