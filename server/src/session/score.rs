@@ -78,11 +78,13 @@ impl Scorer {
         self.threshold
     }
 
-    /// Projected error in pixels (in lattice steps for complete views), or 0 for what cannot be seen.
+    /// Projected error in pixels, or 0 for what cannot be seen. For complete views, error times radius in squared lattice steps:
+    /// halfway from the largest distance anywhere, which the error alone would keep low, to the volume between the surfaces. Under a
+    /// triangle limit that gives the least mean distance, and like the error it falls along the forest.
     pub fn priority(&self, bounds: &Bounds) -> f32 {
         let error = bounds.error.decode();
         if self.complete {
-            return error;
+            return error * bounds.radius.decode();
         }
         let center = DVec3::new(f64::from(bounds.center[0]), f64::from(bounds.center[1]), f64::from(bounds.center[2]));
         let radius = f64::from(bounds.radius.decode());
@@ -103,6 +105,11 @@ impl Scorer {
             pixels *= self.silhouette_factor;
         }
         pixels as f32
+    }
+
+    /// What is missing without an op of this priority: pixels, or lattice steps for complete views.
+    pub fn missing(&self, priority: f32, bounds: &Bounds) -> f32 {
+        if self.complete { bounds.error.decode() } else { priority }
     }
 
     fn facing(&self, cone: &Cone, to_center: DVec3, distance: f64, radius: f64) -> Facing {

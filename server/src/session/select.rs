@@ -86,11 +86,11 @@ pub(crate) fn select(model: &PackedModel, scorer: &Scorer, limit: u32) -> Result
             match walk.apply(&closure, limit)? {
                 Fit::All => {}
                 Fit::SkippedSpawn => {
-                    walk.leave_out(priority);
+                    walk.leave_out(priority, op)?;
                     continue;
                 }
                 Fit::Part => {
-                    walk.leave_out(priority);
+                    walk.leave_out(priority, op)?;
                     break;
                 }
             }
@@ -102,6 +102,15 @@ pub(crate) fn select(model: &PackedModel, scorer: &Scorer, limit: u32) -> Result
         } else {
             for child in model.children(op)? {
                 walk.offer(child)?;
+            }
+        }
+    }
+    if walk.out.is_limited {
+        // What comes later has no larger priority, but in a complete view it may have a larger error.
+        for key in std::mem::take(&mut walk.heap) {
+            let (priority, op) = unpack(key);
+            if !walk.out.set.contains(&op) {
+                walk.leave_out(priority, op)?;
             }
         }
     }
@@ -145,12 +154,13 @@ impl Walk<'_> {
         Ok(())
     }
 
-    fn leave_out(&mut self, priority: f32) {
+    fn leave_out(&mut self, priority: f32, op: u32) -> Result<(), PackError> {
         if !self.out.is_limited {
             self.out.is_limited = true;
             self.out.lambda = self.out.lambda.max(priority);
-            self.out.error = self.out.error.max(priority);
         }
+        self.out.error = self.out.error.max(self.scorer.missing(priority, &self.model.bounds(op)?));
+        Ok(())
     }
 
     fn apply(&mut self, closure: &Closure, limit: u32) -> Result<Fit, PackError> {
