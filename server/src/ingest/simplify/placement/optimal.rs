@@ -10,9 +10,9 @@ use crate::ingest::simplify::quadric::Minimum;
 
 /// Pull towards the middle of the edge, as a share of the quadrics' weight: where they leave a direction free (flat and ridged
 /// places), the minimum is taken near the middle.
-const PULL: f64 = 1e-3;
+pub(super) const PULL: f64 = 1e-3;
 /// Most lengths of the edge that either step may take. Further out the planes are nearly parallel.
-const MAX_REACH: f64 = 1.0;
+pub(super) const MAX_REACH: f64 = 1.0;
 
 /// The minimum over the planes of both ends, rounded to the lattice, or what [`Subset`] says if that is no dearer.
 #[derive(Debug)]
