@@ -41,8 +41,20 @@ pub(crate) struct GeometryModels {
     along: Vec<SignedModel>,
     height: Vec<SignedModel>,
     color: [SignedModel; 3],
-    shift: SignedModel,
-    color_shift: SignedModel,
+    moves: MoveModels,
+}
+
+/// Adaptive contexts for how far a split moves `s`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct MoveModels {
+    stays: Prob,
+    /// Of those that move, whether `s` was in the middle.
+    in_middle: Prob,
+    parity: Prob,
+    across: Vec<SignedModel>,
+    along: Vec<SignedModel>,
+    height: Vec<SignedModel>,
+    color: SignedModel,
 }
 
 impl GeometryModels {
@@ -54,8 +66,15 @@ impl GeometryModels {
             along: vec![SignedModel::NEW; SCALES],
             height: vec![SignedModel::NEW; SCALES],
             color: [SignedModel::NEW; 3],
-            shift: SignedModel::NEW,
-            color_shift: SignedModel::NEW,
+            moves: MoveModels {
+                stays: Prob::HALF,
+                in_middle: Prob::HALF,
+                parity: Prob::HALF,
+                across: vec![SignedModel::NEW; SCALES],
+                along: vec![SignedModel::NEW; SCALES],
+                height: vec![SignedModel::NEW; SCALES],
+                color: SignedModel::NEW,
+            },
         }
     }
 
@@ -135,12 +154,89 @@ impl GeometryModels {
             out.color = from_ycocg(coded).map(|c| c.clamp(0, 255) as u8);
         }
         if moves {
-            out.s_move = value.s_move.map(|d| self.shift.code(coder, d));
-            if colors.is_some() {
-                out.s_color_move = value.s_color_move.map(|d| self.color_shift.code(coder, i32::from(d as i8)) as u8);
+            let before = positions[s as usize];
+            out.s_move = self.moves.code(coder, &context, before, out.position, value.s_move);
+            if let Some(colors) = colors {
+                let share = Share::new(out.s_move, before, out.position);
+                out.s_color_move = std::array::from_fn(|k| {
+                    let predicted = share.color_move(colors[s as usize][k], out.color[k]);
+                    let residual = value.s_color_move[k].wrapping_sub(predicted) as i8;
+                    predicted.wrapping_add(self.moves.color.code(coder, i32::from(residual)) as u8)
+                });
             }
         }
         out
+    }
+}
+
+impl MoveModels {
+    /// Codes what a split adds to the position of `s`, which is at `before`, when the new vertex is at `t`.
+    fn code(
+        &mut self,
+        coder: &mut impl BitCoder,
+        context: &Prediction,
+        before: [i32; 3],
+        t: [i32; 3],
+        value: [i32; 3],
+    ) -> [i32; 3] {
+        if coder.bit(&mut self.stays, value == [0; 3]) {
+            return [0; 3];
+        }
+        // On the other side of `before` from `t`.
+        let mirrored: [i32; 3] = std::array::from_fn(|k| before[k].wrapping_sub(t[k]));
+        // A middle between lattice points is rounded up where `t` is odd and down where it is even.
+        let rounding = t.map(|c| if c & 1 == 1 { -1 } else { 1 });
+        let residual: [i32; 3] = std::array::from_fn(|k| value[k].wrapping_sub(mirrored[k]));
+        let in_middle = (0..3).all(|k| residual[k] == 0 || residual[k] == rounding[k]);
+        if coder.bit(&mut self.in_middle, in_middle) {
+            return std::array::from_fn(|k| {
+                let is_rounded = coder.bit(&mut self.parity, residual[k] != 0);
+                mirrored[k].wrapping_add(if is_rounded { rounding[k] } else { 0 })
+            });
+        }
+        let [u, v, h] = context.axes;
+        let mut out = [0; 3];
+        out[u] = mirrored[u].wrapping_add(self.across[context.scale].code(coder, residual[u]));
+        out[v] = mirrored[v].wrapping_add(self.along[context.scale].code(coder, residual[v]));
+        // As far from the fan's plane through `before` as `t` is, on the same side.
+        let drop = t[h]
+            .wrapping_sub(before[h])
+            .wrapping_add(context.fall(t[u].wrapping_sub(before[u]), t[v].wrapping_sub(before[v])));
+        let height = drop.wrapping_sub(context.fall(out[u], out[v]));
+        out[h] = height.wrapping_add(self.height[context.scale].code(coder, value[h].wrapping_sub(height)));
+        out
+    }
+}
+
+/// Where the joined vertex was along the edge, as what the colour of `s` changes per difference between it and `t`.
+struct Share {
+    of: i64,
+    rest: i64,
+}
+
+impl Share {
+    fn new(s_move: [i32; 3], before: [i32; 3], t: [i32; 3]) -> Self {
+        // Honest differences fit 22 bits; clamped, products of any fit.
+        let clamp = |d: i32| i64::from(d.clamp(-(1 << 22), 1 << 22));
+        let (mut along, mut length_squared) = (0, 0);
+        for k in 0..3 {
+            // The edge runs from where `s` goes to `t`.
+            let moved = clamp(s_move[k]);
+            let edge = clamp(t[k].wrapping_sub(before[k])) - moved;
+            along -= moved * edge;
+            length_squared += edge * edge;
+        }
+        let of = along.clamp(0, length_squared);
+        Self { of, rest: length_squared - of }
+    }
+
+    /// Predicted change of a channel of `s`, whose value is `before`, when that of `t` is `t`; modulo 256.
+    fn color_move(&self, before: u8, t: u8) -> u8 {
+        if self.rest == 0 {
+            return 0;
+        }
+        let change = (i64::from(before) - i64::from(t)) * self.of / self.rest;
+        ((i64::from(before) + change).clamp(0, 255) as u8).wrapping_sub(before)
     }
 }
 
@@ -226,15 +322,19 @@ impl Prediction {
 
     /// Third coordinate on the plane through the predicted point, at the coded first two.
     fn height(&self, du: i32, dv: i32) -> i32 {
+        self.point[self.axes[2]].wrapping_sub(self.fall(du, dv))
+    }
+
+    /// How far the fan's plane falls along the third axis over a step along the first two.
+    fn fall(&self, du: i32, dv: i32) -> i32 {
         let [u, v, h] = self.axes;
         if self.normal[h] == 0 {
-            return self.point[h];
+            return 0;
         }
         // The decoder may see residuals of any size; an honest encoder's fit 22 bits.
         let clamp = |d: i32| i64::from(d.clamp(-(1 << 22), 1 << 22));
         let slope = self.normal[u] * clamp(du) + self.normal[v] * clamp(dv);
-        let rise = (slope / self.normal[h]).clamp(-(1 << 23), 1 << 23);
-        self.point[h].wrapping_sub(rise as i32)
+        (slope / self.normal[h]).clamp(-(1 << 23), 1 << 23) as i32
     }
 }
 
@@ -277,5 +377,16 @@ mod tests {
             let rgb = [0; 3].map(|_: i32| rng.i32(0..256));
             assert_eq!(from_ycocg(to_ycocg(rgb)), rgb);
         }
+    }
+
+    #[test]
+    fn colour_moves_follow_the_share() {
+        // The joined vertex lies a third of the way from `s` to `t`, which has 30 more: `s` had 15 less.
+        let share = Share::new([-10, 0, 0], [10, 0, 0], [30, 0, 0]);
+        assert_eq!(share.color_move(100, 130), 0u8.wrapping_sub(15));
+        assert_eq!(Share::new([0; 3], [1; 3], [1; 3]).color_move(7, 9), 0);
+        // Whatever is decoded, nothing overflows.
+        let wild = Share::new([i32::MIN; 3], [i32::MAX; 3], [i32::MIN; 3]);
+        wild.color_move(255, 0);
     }
 }

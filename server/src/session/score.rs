@@ -26,13 +26,23 @@ pub struct Scorer {
     parallel: Option<DVec3>,
     culls_facing_away: bool,
     silhouette_factor: f64,
-    /// Whether priorities are errors in lattice steps, whatever the camera.
-    complete: bool,
+    measure: Measure,
     /// Whether even errors of zero are wanted.
     wants_all: bool,
     threshold: f32,
     /// Box of the complete mesh, in lattice steps.
     model_box: [DVec3; 2],
+}
+
+/// What priorities are.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+enum Measure {
+    /// Projected errors.
+    Pixels,
+    /// Errors in lattice steps, whatever the camera.
+    Error,
+    /// Errors times radii.
+    Volume,
 }
 
 /// Which way a cone of normals faces.
@@ -79,7 +89,7 @@ impl Scorer {
             parallel,
             culls_facing_away: !(view.two_sided || model.is_open),
             silhouette_factor: f64::from(view.silhouette_factor),
-            complete: view.complete,
+            measure: if view.complete { Measure::Volume } else { Measure::Pixels },
             wants_all: view.complete,
             threshold: if view.complete { 0.0 } else { view.tolerance_px },
             model_box: [model.box_min, model.box_max].map(|q| DVec3::from_array(q.map(f64::from))),
@@ -98,7 +108,7 @@ impl Scorer {
             parallel: None,
             culls_facing_away: false,
             silhouette_factor: 1.0,
-            complete: true,
+            measure: Measure::Error,
             wants_all: false,
             threshold: steps,
             // Never looked at: complete views judge by error alone.
@@ -122,11 +132,15 @@ impl Scorer {
         self.threshold
     }
 
-    /// Projected error in pixels (in lattice steps for complete views), or 0 for what cannot be seen.
+    /// Projected error in pixels, or 0 for what cannot be seen. For complete views, error times radius in squared lattice steps:
+    /// halfway from the largest distance anywhere, which the error alone would keep low, to the volume between the surfaces. Under a
+    /// triangle limit that gives the least mean distance, and like the error it falls along the forest.
     pub fn priority(&self, bounds: &Bounds) -> f32 {
         let error = bounds.error.decode();
-        if self.complete {
-            return error;
+        match self.measure {
+            Measure::Error => return error,
+            Measure::Volume => return error * bounds.radius.decode(),
+            Measure::Pixels => {}
         }
         let center = DVec3::new(f64::from(bounds.center[0]), f64::from(bounds.center[1]), f64::from(bounds.center[2]));
         let radius = f64::from(bounds.radius.decode());
@@ -155,8 +169,10 @@ impl Scorer {
     /// Not less than the priority of any spawn whose error is at most so many lattice steps: its centre lies in the model's box
     /// and its radius is at most twice its error, which [`verify`](fn@crate::pack::verify) checks.
     pub(crate) fn most_of_spawn(&self, error: f32) -> f32 {
-        if self.complete {
-            return error;
+        match self.measure {
+            Measure::Error => return error,
+            Measure::Volume => return 2.0 * error * error * (1.0 + 1e-6),
+            Measure::Pixels => {}
         }
         let mut pixels = f64::from(error) * self.pixel_scale * self.silhouette_factor.max(1.0);
         if self.parallel.is_none() {
@@ -166,6 +182,16 @@ impl Scorer {
         }
         // The sums of `priority` are rounded in another order.
         (pixels * (1.0 + 1e-6)) as f32
+    }
+
+    /// Whether an op of smaller priority may have a larger error.
+    pub(crate) fn weighs_errors(&self) -> bool {
+        self.measure == Measure::Volume
+    }
+
+    /// What is missing without an op of this priority: pixels, or lattice steps for complete views.
+    pub fn missing(&self, priority: f32, bounds: &Bounds) -> f32 {
+        if self.measure == Measure::Pixels { priority } else { bounds.error.decode() }
     }
 
     fn facing(&self, cone: &Cone, to_center: DVec3, distance: f64, radius: f64) -> Facing {

@@ -143,11 +143,11 @@ pub(crate) fn select(
             match walk.take(op, limit, &mut closure)? {
                 Fit::All => {}
                 Fit::SkippedSpawn => {
-                    walk.leave_out(priority);
+                    walk.leave_out(priority, op)?;
                     continue;
                 }
                 Fit::Part => {
-                    walk.leave_out(priority);
+                    walk.leave_out(priority, op)?;
                     break;
                 }
                 Fit::NotYet => continue,
@@ -160,6 +160,15 @@ pub(crate) fn select(
         } else {
             for child in model.children(op)? {
                 walk.offer(child)?;
+            }
+        }
+    }
+    if walk.out.is_limited && scorer.weighs_errors() {
+        // What comes later has no larger priority, but it may have a larger error.
+        for key in std::mem::take(&mut walk.heap) {
+            let (priority, op) = unpack(key);
+            if !walk.out.set.contains(&op) {
+                walk.leave_out(priority, op)?;
             }
         }
     }
@@ -312,12 +321,13 @@ impl Walk<'_> {
         self.out.is_limited && limit.saturating_sub(self.out.triangles) < self.model.smallest_spawn()
     }
 
-    fn leave_out(&mut self, priority: f32) {
+    fn leave_out(&mut self, priority: f32, op: u32) -> Result<(), PackError> {
         if !self.out.is_limited {
             self.out.is_limited = true;
             self.out.lambda = self.out.lambda.max(priority);
-            self.out.error = self.out.error.max(priority);
         }
+        self.out.error = self.out.error.max(self.scorer.missing(priority, &self.model.bounds(op)?));
+        Ok(())
     }
 
     /// Applies an op with its closure, as far as it fits.

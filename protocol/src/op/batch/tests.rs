@@ -1,6 +1,26 @@
 use super::*;
 use crate::testing::{OperationRng, base_meshes, check_replica};
 
+/// A vertex that leaves `s` where it is, was in the middle between both on the lattice, or moves `s` anywhere.
+fn random_moving_vertex(rng: &mut OperationRng, replica: &Replica, s: u32) -> NewVertex {
+    let mut vertex = rng.random_vertex();
+    let before = replica.positions()[s as usize];
+    let other = rng.random_vertex();
+    let moved = match rng.below(3) {
+        0 => before,
+        1 => std::array::from_fn(|k| {
+            let odd = vertex.position[k] & 1;
+            2 * before[k] - vertex.position[k] + if rng.one_in(2) { 1 - 2 * odd } else { 0 }
+        }),
+        _ => other.position,
+    };
+    vertex.s_move = std::array::from_fn(|k| moved[k] - before[k]);
+    if rng.one_in(2) {
+        vertex.s_color_move = other.color;
+    }
+    vertex
+}
+
 fn random_batch(rng: &mut OperationRng, state: &mut OpState, limit: u32, next_id: &mut u32) -> (Vec<u8>, OpCounts) {
     let patches = base_meshes();
     let mut encoder = BatchEncoder::new(state, rng.one_in(10));
@@ -34,7 +54,8 @@ fn random_batch(rng: &mut OperationRng, state: &mut OpState, limit: u32, next_id
         }
         for &s in &members {
             let cached = encoder.rounds.state.cache.top(VertexSlot(s)).copied();
-            let resolve = |_: &Replica, fan: &Fan| {
+            let OpState { has_moves, has_colors, .. } = *encoder.rounds.state;
+            let resolve = |replica: &Replica, fan: &Fan| {
                 let cut = match cached.and_then(|c| guess_cut(fan, c.left, c.right)) {
                     Some(cut) if !rng.one_in(3) => cut,
                     _ => rng.random_cut(fan).unwrap_or(if fan.is_closed() {
@@ -43,7 +64,12 @@ fn random_batch(rng: &mut OperationRng, state: &mut OpState, limit: u32, next_id
                         Cut::Left { left: 0 }
                     }),
                 };
-                Some((cut, cached.map_or_else(|| rng.random_vertex(), |c| c.vertex)))
+                let vertex = cached.map(|c| c.vertex).unwrap_or_else(|| match has_moves {
+                    false => rng.random_vertex(),
+                    true => random_moving_vertex(rng, replica, s),
+                });
+                let s_color_move = if has_colors { vertex.s_color_move } else { [0; 3] };
+                Some((cut, NewVertex { s_color_move, ..vertex }))
             };
             encoder.split(s, limit, resolve).unwrap();
             room = room.saturating_sub(2);
@@ -62,8 +88,8 @@ fn both_ends_agree_after_every_batch() {
         for seed in 0..12 {
             let mut rng = OperationRng::new(seed * 31 + 5);
             let capacity = rng.below(60);
-            let has_colors = rng.one_in(2);
-            let mut server = OpState::new(&base, 12, has_colors, false, capacity).unwrap();
+            let (has_colors, has_moves) = (rng.one_in(2), rng.one_in(2));
+            let mut server = OpState::new(&base, 12, has_colors, has_moves, capacity).unwrap();
             let mut client = server.clone();
             let limit = 40 + rng.below(400);
             let mut next_id = 0;
@@ -86,7 +112,7 @@ fn both_ends_agree_after_every_batch() {
 fn mutated_batches_are_refused_or_harmless() {
     let (_, base) = base_meshes().swap_remove(3);
     let mut rng = OperationRng::new(99);
-    let mut server = OpState::new(&base, 12, true, false, 30).unwrap();
+    let mut server = OpState::new(&base, 12, true, true, 30).unwrap();
     let mut next_id = 0;
     for _ in 0..30 {
         let before = server.clone();

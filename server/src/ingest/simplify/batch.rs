@@ -8,8 +8,8 @@ use glam::DVec3;
 
 use super::{
     constraint::{Examined, STAGES, Stage},
-    placement::{self, Edge, Place, Placement},
-    quadric::{self, Quadric},
+    placement::{self, Edge, Place, Placement, Volume},
+    quadric::{self, Planes, Quadric},
     surface::{NONE, Site, Surface},
 };
 use crate::ingest::hierarchy::{
@@ -19,7 +19,7 @@ use crate::ingest::hierarchy::{
 };
 
 /// Share of the edges that a pass considers, cheapest first.
-const SHARE: f64 = 0.4;
+const SHARE: f64 = 0.25;
 /// Fewest edges that a pass considers.
 const MIN_CANDIDATES: u32 = 16;
 /// Factor on the sampled deviation and on the RMS quadric distance (ALGORITHMS section 5).
@@ -64,6 +64,8 @@ pub(crate) struct Simplifier {
     /// Sum over all collapses of the valence of `s` afterwards.
     pub(crate) valence_sum: u64,
     pub(crate) quadrics: Vec<Quadric>,
+    /// Per vertex that is left.
+    planes: Vec<Planes>,
     pub(crate) samples: Samples,
     /// Key per half-edge.
     keys: Vec<u32>,
@@ -135,6 +137,7 @@ impl Simplifier {
     pub(crate) fn new(surface: Surface, state: State, mover: Option<Mover>, first_op: u32) -> Self {
         let vertices = surface.vertex_count();
         let State { points, is_locked, quadrics, carried, samples } = state;
+        let planes = (0..vertices as u32).map(|v| Planes::around(&surface, &points, v)).collect();
         let mut simplifier = Self {
             points,
             is_locked,
@@ -147,6 +150,7 @@ impl Simplifier {
             passes: 0,
             valence_sum: 0,
             quadrics,
+            planes,
             samples,
             keys: vec![NO_KEY; 3 * surface.face_count()],
             blocked_in: vec![0; 3 * surface.face_count()],
@@ -250,11 +254,7 @@ impl Simplifier {
             return;
         }
         let keep_origin = key & KEEPS_TARGET == 0;
-        let place = self.place(h);
-        let mut outcome = match place {
-            Some(place) => self.attempt(h, place.keeps_first, Some(place), limit, stage),
-            None => Outcome::Illegal,
-        };
+        let mut outcome = self.attempt_moving(h, limit, stage);
         for keep_origin in [keep_origin, !keep_origin] {
             if matches!(outcome, Outcome::Illegal) {
                 outcome = self.attempt(h, keep_origin, None, limit, stage);
@@ -339,20 +339,48 @@ impl Simplifier {
         }
     }
 
-    /// Where the vertex that joins the ends of `h` should lie, if it may move. An edge with one end on the boundary may not: that
+    /// The edge at `h` and its rule, if the vertex that joins its ends may move. An edge with one end on the boundary may not: that
     /// end stays put.
     #[inline]
-    fn place(&self, h: u32) -> Option<Place> {
-        let mover = self.mover?;
+    fn movable(&self, h: u32) -> Option<(&'static dyn Placement, Edge<'_>)> {
+        let Mover { rule, max_coordinate: max } = self.mover?;
         let ends = [self.surface.origin(h), self.surface.target(h)];
         if self.surface.twin(h).is_some() && ends.iter().any(|&v| self.points[v as usize].is_boundary) {
             return None;
         }
-        Some(mover.rule.place(&Edge {
-            ends: ends.map(|v| &self.points[v as usize]),
-            quadrics: ends.map(|v| &self.quadrics[v as usize]),
-            max: mover.max_coordinate,
-        }))
+        let planes = ends.map(|v| &self.planes[v as usize]);
+        Some((rule, Edge { ends: ends.map(|v| &self.points[v as usize]), planes, max }))
+    }
+
+    /// Tries to place the vertex that joins the ends of `h` where its rule says; as good as illegal if it may not move.
+    fn attempt_moving(&mut self, h: u32, limit: u32, stage: &Stage) -> Outcome {
+        let Some((rule, edge)) = self.movable(h) else { return Outcome::Illegal };
+        let place = rule.settle(&edge, rule.place(&edge), &|| self.volume(h));
+        self.attempt(h, place.keeps_first, Some(place), limit, stage)
+    }
+
+    /// The volume around the edge at `h` as a function of the place that replaces it: relative to the place of its origin, which
+    /// the sums would cancel against if they were not.
+    fn volume(&self, h: u32) -> Volume {
+        let ends = [self.surface.origin(h), self.surface.target(h)];
+        let at = |v: u32| self.points[v as usize].at();
+        let origin = at(ends[0]);
+        let mut normal = DVec3::ZERO;
+        let mut height = 0.0;
+        for end in ends {
+            for spoke in self.surface.spokes(end) {
+                let (x, y) = quadric::others(&self.surface, spoke);
+                // The faces at the edge are met from both its ends.
+                if end == ends[1] && (x == ends[0] || y == ends[0]) {
+                    continue;
+                }
+                let corner = at(end);
+                let face = (at(x) - corner).cross(at(y) - corner);
+                normal += face;
+                height += face.dot(corner - origin);
+            }
+        }
+        Volume { normal, height: height + normal.dot(origin) }
     }
 
     /// Tries one direction of the edge at `h`, with the vertex that stays where it is or at a place of its own.
@@ -360,13 +388,18 @@ impl Simplifier {
         let site = Site::new(&self.surface, h, keep_origin);
         let Site { s, t, .. } = site;
         let place = place.filter(|place| place.at != self.points[s as usize].position);
-        let weights = [s, t].map(|v| self.quadrics[v as usize].weight);
+        let key_of = |cost: f64| key_of(cost) | if keep_origin { 0 } else { KEEPS_TARGET };
+        let cost = place.map_or_else(|| self.costs(s, t)[0], |place| place.cost);
+        // What is kept may be out of date, since the planes at an edge also change when an edge nearby is collapsed.
+        if key_of(cost) > limit {
+            return Outcome::Postponed(key_of(cost));
+        }
+        let weights = [s, t].map(|v| self.planes[v as usize].weight);
         let at = place.map(|place| placement::vector(place.at));
         if !self.examined.is_legal(&self.surface, &self.points, site, at, weights, stage) {
             return Outcome::Illegal;
         }
-        let cost = place.map_or_else(|| self.costs(s, t)[0], |place| place.cost) + self.examined.sliver;
-        let key = key_of(cost) | if keep_origin { 0 } else { KEEPS_TARGET };
+        let key = key_of(cost + self.examined.sliver);
         if key > limit {
             return Outcome::Postponed(key);
         }
@@ -377,7 +410,7 @@ impl Simplifier {
     /// Costs of the edge between `a` and `b`: keeping the former, and keeping the latter.
     #[inline]
     fn costs(&self, a: u32, b: u32) -> [f64; 2] {
-        let [(pa, qa), (pb, qb)] = [a, b].map(|v| (&self.points[v as usize], &self.quadrics[v as usize]));
+        let [(pa, qa), (pb, qb)] = [a, b].map(|v| (&self.points[v as usize], &self.planes[v as usize]));
         quadric::costs(pa, qa, pb, qb)
     }
 
@@ -387,7 +420,8 @@ impl Simplifier {
         if self.is_locked[a as usize] || self.is_locked[b as usize] {
             return NO_KEY;
         }
-        if let Some(place) = self.place(h) {
+        if let Some((rule, edge)) = self.movable(h) {
+            let place = rule.place(&edge);
             return key_of(place.cost) | if place.keeps_first { 0 } else { KEEPS_TARGET };
         }
         let is_inner = self.surface.twin(h).is_some();
@@ -420,6 +454,8 @@ impl Simplifier {
         }
         let region = bounds::merge(&carried[s as usize], &carried[t as usize], ring, normals);
 
+        let removed = [(left, site.left_apex(surface)), (right, site.right_apex(surface))]
+            .map(|(h, apex)| h.zip(apex).map(|(h, apex)| (apex, face_normal(surface, points, h / 3))));
         let outer = surface.collapse(site, &examined.arc);
         for h in [left, right].into_iter().flatten() {
             let face = h / 3;
@@ -433,6 +469,7 @@ impl Simplifier {
             self.move_vertex(s, before, place);
         }
         let ps = self.points[s as usize];
+        self.renew_planes(s, removed);
         self.changed_in[s as usize] = self.passes;
         self.changed_in[t as usize] = self.passes;
         let Self { surface, around, points, .. } = self;
@@ -470,6 +507,29 @@ impl Simplifier {
             s_move: std::array::from_fn(|k| before[0].position[k] - ps.position[k]),
             s_color_move: std::array::from_fn(|k| before[0].color[k].wrapping_sub(ps.color[k])),
             bounds: stored,
+        });
+    }
+
+    /// Renews the planes of `s` and of its neighbours after a collapse that `examined` describes. `removed` are the third corners
+    /// of the removed faces and their normals.
+    fn renew_planes(&mut self, s: u32, removed: [Option<(u32, DVec3)>; 2]) {
+        let Self { surface, points, planes, examined, .. } = self;
+        planes[s as usize] = Planes::around(surface, points, s);
+        for (apex, normal) in removed.into_iter().flatten() {
+            planes[apex as usize].remove_face(normal);
+        }
+        for (&h, &(before, after)) in examined.arc.iter().chain(&examined.kept).zip(&examined.normals) {
+            let (x, y) = quadric::others(surface, h);
+            for v in [x, y] {
+                planes[v as usize].remove_face(before);
+                planes[v as usize].add_face(after);
+            }
+        }
+        // Planes of border edges change too.
+        surface.for_each_neighbor(s, |v| {
+            if points[v as usize].is_boundary {
+                planes[v as usize] = Planes::around(surface, points, v);
+            }
         });
     }
 

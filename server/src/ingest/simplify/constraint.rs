@@ -35,8 +35,9 @@ pub(crate) const STAGES: [Stage; 4] = [
 pub(crate) struct Examined {
     /// Spokes of `t` in the faces that go over to `s`.
     pub(crate) arc: Vec<u32>,
-    /// Normals, before and after, of the faces that change shape, twice the area long: those of the arc, and if `s` moves those
-    /// that it keeps.
+    /// Spokes of `s` in the faces that it keeps, if it moves.
+    pub(crate) kept: Vec<u32>,
+    /// Normals, before and after, of the faces that change shape, twice the area long: those of `arc`, then those of `kept`.
     pub(crate) normals: Vec<(DVec3, DVec3)>,
     /// Neighbours of `t`, and those of `s` if it moves.
     pub(crate) around: Vec<u32>,
@@ -54,8 +55,7 @@ impl Examined {
         Self { seen: vec![0; vertex_count], ..Self::default() }
     }
 
-    /// Whether `site` may collapse, with `s` where it is or at a place of its own. `weights` are those of the quadrics of `s` and
-    /// `t`. Fills the fields if so. O(valence of s and t).
+    /// Whether `site` may collapse, with `s` where it is or at a place of its own. `weights` are those of the planes of `s` and `t`. Fills the fields if so. O(valence of s and t).
     ///
     /// Topology is the link condition (Dey, Edelsbrunner, Guha, Nekhayev 1999) with a virtual vertex joined to every boundary
     /// edge, which reduces to: a boundary vertex goes only along a boundary edge; the common neighbours of `s` and `t` are
@@ -163,12 +163,14 @@ impl Examined {
             if !self.keeps_face(surface, points, h, &turn, stage) {
                 return false;
             }
+            self.kept.push(h);
         }
         self.gains_area_well(stage, || star_normal(surface, points, site.s) + star_normal(surface, points, site.t))
     }
 
     fn start(&mut self) {
         self.arc.clear();
+        self.kept.clear();
         self.normals.clear();
         self.sliver = 0.0;
         self.gains_area = false;

@@ -1,4 +1,5 @@
-//! Area-weighted error quadrics (Garland and Heckbert 1997) and the cost of an edge.
+//! The cost of an edge, by the planes of the faces at its ends, and error quadrics (Garland and Heckbert 1997), which remember
+//! the complete mesh.
 
 use bytemuck::{Pod, Zeroable};
 use glam::DVec3;
@@ -8,6 +9,9 @@ use crate::ingest::hierarchy::Point;
 
 /// Weight of a boundary constraint plane, times the squared length of the boundary edge.
 const BOUNDARY_WEIGHT: f64 = 3.0;
+/// The same for the planes that collapses are chosen by, which do not add up: a border takes about as much of a coarse mesh as it
+/// deserves.
+const BORDER_WEIGHT: f64 = 1.0;
 /// Deviation, as a share of the edge's length, that a full-scale colour difference across it counts for in the order.
 const COLOR_WEIGHT: f64 = 0.25;
 /// Tie-break per squared length, so that flat regions lose their short edges first.
@@ -40,23 +44,17 @@ impl Quadric {
         self.weight += weight;
     }
 
-    #[inline]
-    fn apply(&self, d: DVec3) -> DVec3 {
-        let [xx, xy, xz, yy, yz, zz] = self.a;
-        DVec3::new(xx * d.x + xy * d.y + xz * d.z, xy * d.x + yy * d.y + yz * d.z, xz * d.x + yz * d.y + zz * d.z)
-    }
-
     /// Value at offset `d` from the vertex. Not negative: rounding may say so, but sums of squares are not.
     #[inline]
     pub(crate) fn at(&self, d: DVec3) -> f64 {
-        ((self.apply(d) + 2.0 * self.b).dot(d) + self.c).max(0.0)
+        ((apply(&self.a, d) + 2.0 * self.b).dot(d) + self.c).max(0.0)
     }
 
     /// Adds `other`, carried by the vertex at offset `-d` from this one's.
     #[inline]
     pub(crate) fn absorb(&mut self, other: &Self, d: DVec3) {
         self.c += other.at(d);
-        self.b += other.b + other.apply(d);
+        self.b += other.b + apply(&other.a, d);
         for (a, term) in self.a.iter_mut().zip(other.a) {
             *a += term;
         }
@@ -66,30 +64,7 @@ impl Quadric {
     /// Carries it by the vertex at offset `d` instead.
     pub(crate) fn carry(&mut self, d: DVec3) {
         self.c = self.at(d);
-        self.b += self.apply(d);
-    }
-
-    /// Offset from `from` at which the sum of this quadric, carried at `a`, of `other`, carried at `b`, and of `pull` times their
-    /// weight times the squared offset is least. `None` if both are next to nothing.
-    pub(crate) fn least_with(&self, other: &Self, a: DVec3, b: DVec3, from: DVec3, pull: f64) -> Option<DVec3> {
-        // Gradient and matrix at `from`: M x = -g, by Cramer's rule.
-        let gradient = self.b + self.apply(from - a) + other.b + other.apply(from - b);
-        let weight = (self.weight + other.weight) * pull;
-        let [xx, xy, xz, yy, yz, zz]: [f64; 6] = std::array::from_fn(|k| self.a[k] + other.a[k]);
-        let (xx, yy, zz) = (xx + weight, yy + weight, zz + weight);
-        let columns = [DVec3::new(xx, xy, xz), DVec3::new(xy, yy, yz), DVec3::new(xz, yz, zz)];
-        let determinant = columns[0].dot(columns[1].cross(columns[2]));
-        // At least (pull x weight)^3 but for rounding.
-        if determinant <= 0.5 * weight * weight * weight {
-            return None;
-        }
-        let g = -gradient;
-        let solve = |x: DVec3, y: DVec3, z: DVec3| x.dot(y.cross(z)) / determinant;
-        Some(DVec3::new(
-            solve(g, columns[1], columns[2]),
-            solve(columns[0], g, columns[2]),
-            solve(columns[0], columns[1], g),
-        ))
+        self.b += apply(&self.a, d);
     }
 
     /// RMS distance of the vertex to the planes, in lattice steps.
@@ -144,16 +119,137 @@ pub(crate) fn add_borders(
     }
 }
 
-/// Costs of an edge in both directions: keeping `a`, and keeping `b`; in lattice steps to the fourth (squared distance times
-/// area). Each is the value of both quadrics at the kept vertex, and a colour term: the deviation that the colour difference
-/// counts for, squared, over the area that would change colour.
+/// The planes of the faces around a vertex as the mesh now is, weighted: the squared distances to them that collapses are
+/// chosen by. What was there before is forgotten (Lindstrom and Turk 1998: "memoryless"), which keeps the mean distance
+/// lower than accumulated quadrics do, at the same number of triangles; [`Quadric`] remembers, for the error.
+///
+/// All the planes go through the vertex, so that a matrix is all there is.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Planes {
+    /// Upper triangle of the matrix: xx, xy, xz, yy, yz, zz.
+    a: [f64; 6],
+    /// Sum of the weights, in squared lattice steps.
+    pub(crate) weight: f64,
+}
+
+impl Planes {
+    /// Those around `v`. O(valence).
+    pub(crate) fn around(surface: &Surface, points: &[Point], v: u32) -> Self {
+        let mut planes = Self::default();
+        let at = |v: u32| points[v as usize].at();
+        for h in surface.spokes(v) {
+            let (x, y) = others(surface, h);
+            let normal = (at(x) - at(v)).cross(at(y) - at(v));
+            planes.add_face(normal);
+            for (h, from, to) in [(h, v, x), (prev(h), y, v)] {
+                if surface.twin(h).is_none() {
+                    planes.add_border(normal, at(to) - at(from));
+                }
+            }
+        }
+        planes
+    }
+
+    fn add(&mut self, n: DVec3, factor: f64) {
+        let m = n * factor;
+        let terms = [m.x * n.x, m.x * n.y, m.x * n.z, m.y * n.y, m.y * n.z, m.z * n.z];
+        for (a, term) in self.a.iter_mut().zip(terms) {
+            *a += term;
+        }
+    }
+
+    /// Adds a face with this normal, twice its area long: a third of the area.
+    #[inline]
+    pub(crate) fn add_face(&mut self, normal: DVec3) {
+        let length = normal.length();
+        if length > 0.0 {
+            self.add(normal, 1.0 / (6.0 * length));
+            self.weight += length / 6.0;
+        }
+    }
+
+    /// Takes out a face that was added. Rounding leaves next to nothing, and what is left may be negative.
+    #[inline]
+    pub(crate) fn remove_face(&mut self, normal: DVec3) {
+        let length = normal.length();
+        if length > 0.0 {
+            self.add(normal, -1.0 / (6.0 * length));
+            self.weight = (self.weight - length / 6.0).max(0.0);
+        }
+    }
+
+    /// Adds the plane at right angles to a face through its border edge.
+    fn add_border(&mut self, normal: DVec3, along: DVec3) {
+        let side = along.cross(normal);
+        let length_squared = side.length_squared();
+        if length_squared > 0.0 {
+            let weight = BORDER_WEIGHT * along.length_squared();
+            self.add(side, weight / length_squared);
+            self.weight += weight;
+        }
+    }
+
+    /// Value at offset `d` from the vertex, in lattice steps to the fourth.
+    #[inline]
+    pub(crate) fn at(&self, d: DVec3) -> f64 {
+        apply(&self.a, d).dot(d).max(0.0)
+    }
+}
+
 #[inline]
-pub(crate) fn costs(a: &Point, quadric_a: &Quadric, b: &Point, quadric_b: &Quadric) -> [f64; 2] {
+fn apply([xx, xy, xz, yy, yz, zz]: &[f64; 6], d: DVec3) -> DVec3 {
+    DVec3::new(xx * d.x + xy * d.y + xz * d.z, xy * d.x + yy * d.y + yz * d.z, xz * d.x + yz * d.y + zz * d.z)
+}
+
+/// The sum of the planes around both ends of an edge, and of a pull towards a place that keeps its minimum well conditioned.
+pub(crate) struct Minimum {
+    columns: [DVec3; 3],
+    determinant: f64,
+    /// Gradient, halved, at the place.
+    gradient: DVec3,
+}
+
+impl Minimum {
+    /// `pull` is a share of the planes' weight. `None` if there is next to no weight.
+    pub(crate) fn new(planes: [&Planes; 2], ends: [DVec3; 2], place: DVec3, pull: f64) -> Option<Self> {
+        let [a, b] = planes;
+        let weight = (a.weight + b.weight) * pull;
+        let [xx, xy, xz, yy, yz, zz]: [f64; 6] = std::array::from_fn(|k| a.a[k] + b.a[k]);
+        let (xx, yy, zz) = (xx + weight, yy + weight, zz + weight);
+        let columns = [DVec3::new(xx, xy, xz), DVec3::new(xy, yy, yz), DVec3::new(xz, yz, zz)];
+        let determinant = columns[0].dot(columns[1].cross(columns[2]));
+        // At least (pull x weight)^3 but for rounding.
+        let gradient = apply(&a.a, place - ends[0]) + apply(&b.a, place - ends[1]);
+        (determinant > 0.5 * weight * weight * weight).then_some(Self { columns, determinant, gradient })
+    }
+
+    /// Solution of `M x = g`, by Cramer's rule.
+    fn solve(&self, g: DVec3) -> DVec3 {
+        let [x, y, z] = self.columns;
+        DVec3::new(g.dot(y.cross(z)), x.dot(g.cross(z)), x.dot(y.cross(g))) / self.determinant
+    }
+
+    /// Offset of the minimum from the place.
+    pub(crate) fn offset(&self) -> DVec3 {
+        self.solve(-self.gradient)
+    }
+
+    /// Offset to the cheapest point of the plane `normal . x = height`, from a minimum at offset 0.
+    pub(crate) fn offset_onto(&self, normal: DVec3, height: f64) -> Option<DVec3> {
+        let x = self.solve(normal);
+        let scale = normal.dot(x);
+        (scale > 0.0).then(|| x * (height / scale))
+    }
+}
+
+/// Costs of an edge in both directions: keeping `a`, and keeping `b`; in lattice steps to the fourth (squared distance times
+/// area). Each is the value at the kept vertex of the planes around the other, and what [`along`] adds for the area of the other.
+#[inline]
+pub(crate) fn costs(a: &Point, planes_a: &Planes, b: &Point, planes_b: &Planes) -> [f64; 2] {
     let d = b.at() - a.at();
     let length_squared = d.length_squared();
     let color = color_weight(a.color, b.color);
-    let extra = |gone: &Quadric| along(length_squared, color, gone.weight);
-    [quadric_a.c + quadric_b.at(-d) + extra(quadric_b), quadric_b.c + quadric_a.at(d) + extra(quadric_a)]
+    [(planes_b, -d), (planes_a, d)].map(|(gone, d)| gone.at(d) + along(length_squared, color, gone.weight))
 }
 
 /// Squared deviation, as a share of the edge's squared length, that a change from one colour to the other counts for.

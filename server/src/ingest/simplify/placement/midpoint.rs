@@ -10,7 +10,7 @@ pub(super) struct Midpoint;
 
 impl Placement for Midpoint {
     fn place(&self, edge: &Edge) -> Place {
-        let keeps_first = edge.quadrics[0].weight >= edge.quadrics[1].weight;
+        let keeps_first = edge.planes[0].weight >= edge.planes[1].weight;
         let [stays, goes] = if keeps_first { edge.ends } else { [edge.ends[1], edge.ends[0]] };
         let at = std::array::from_fn(|k| {
             let (s, t) = (stays.position[k], goes.position[k]);

@@ -15,7 +15,7 @@ mod tests;
 use glam::DVec3;
 
 use super::batch::Mover;
-use super::quadric::{self, Quadric};
+use super::quadric::{self, Planes};
 use crate::ingest::hierarchy::Point;
 
 /// Where the vertex that a collapse leaves lies, relative to the two that it joins.
@@ -28,7 +28,7 @@ pub enum PlacementChoice {
     Midpoint,
     /// At an end or in the middle, whichever is cheapest.
     Subset,
-    /// Where the quadric is least (Garland and Heckbert 1997), or as with `Subset` where that is cheaper.
+    /// Where the distances to the planes around are least and the volume stays the same, or as with `Subset` where that is cheaper.
     Optimal,
 }
 
@@ -56,15 +56,28 @@ impl PlacementChoice {
 pub(super) trait Placement: std::fmt::Debug + Sync {
     /// The place and the end that stays. Deterministic: `+ - * /` in a fixed order, ties to what comes first.
     fn place(&self, edge: &Edge) -> Place;
+
+    /// The place to try, now that the edge's turn has come and its surroundings may be looked at.
+    fn settle(&self, _edge: &Edge, place: Place, _volume: &dyn Fn() -> Volume) -> Place {
+        place
+    }
 }
 
 /// An edge as placements see it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Edge<'a> {
     pub(super) ends: [&'a Point; 2],
-    pub(super) quadrics: [&'a Quadric; 2],
+    pub(super) planes: [&'a Planes; 2],
     /// Largest coordinate of the lattice.
     pub(super) max: i32,
+}
+
+/// Six times the volume between the faces around an edge and those that replace them, as a function of the place:
+/// `normal . place - height`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Volume {
+    pub(super) normal: DVec3,
+    pub(super) height: f64,
 }
 
 /// A place for the vertex that joins an edge's ends.
@@ -85,11 +98,11 @@ impl Edge<'_> {
         Place { at, keeps_first: share <= 0.5, cost: self.cost(at, share) }
     }
 
-    /// Value of both quadrics at `at`, and what [`quadric::costs`] adds for colour: each end's area changes its colour as far
+    /// Value of the planes of both ends at `at`, and what [`quadric::costs`] adds for colour: each end's area changes its colour as far
     /// as the place lies from it along the edge.
     fn cost(&self, at: [i32; 3], share: f64) -> f64 {
         let [a, b] = self.ends.map(Point::at);
-        let [qa, qb] = self.quadrics;
+        let [qa, qb] = self.planes;
         let p = vector(at);
         let rest = 1.0 - share;
         let area = share * share * qa.weight + rest * rest * qb.weight;
