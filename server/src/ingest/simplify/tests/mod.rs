@@ -210,9 +210,8 @@ fn surfaces_with_boundary_refine_to_the_input() {
 
 #[test]
 fn a_flat_interior_costs_no_error() {
-    let (dag, report) = run(&grid(16, 0.0));
-    let inside = report.zero_error_splits as f64 / dag.splits.len() as f64;
-    assert!(inside > 0.8, "{inside}");
+    let (_, report) = run(&grid(16, 0.0));
+    assert!(report.zero_error_splits >= 15 * 15, "{}", report.zero_error_splits);
 }
 
 #[test]
