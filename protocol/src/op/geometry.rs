@@ -196,8 +196,11 @@ impl MoveModels {
         }
         let [u, v, h] = context.axes;
         let mut out = [0; 3];
-        out[u] = mirrored[u].wrapping_add(self.across[context.scale].code(coder, residual[u]));
-        out[v] = mirrored[v].wrapping_add(self.along[context.scale].code(coder, residual[v]));
+        // It has moved less than `t` has: between not at all and as far.
+        let halfway = mirrored.map(|d| d / 2);
+        let residual = |k: usize| value[k].wrapping_sub(halfway[k]);
+        out[u] = halfway[u].wrapping_add(self.across[context.scale].code(coder, residual(u)));
+        out[v] = halfway[v].wrapping_add(self.along[context.scale].code(coder, residual(v)));
         // As far from the fan's plane through `before` as `t` is, on the same side.
         let drop = t[h]
             .wrapping_sub(before[h])

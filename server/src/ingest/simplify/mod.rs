@@ -1,7 +1,7 @@
 //! From a chunked mesh to a sequence of collapses, which [`hierarchy`](super::hierarchy) turns into a vertex-split DAG.
 //!
 //! `t` goes, `s` stays: where it is with the colour it has (half-edge collapses, the default), or at a place between or near
-//! the two that a [`placement`] chooses. The order is `batched` by area-weighted quadrics;
+//! the two that a [`placement`] chooses. The order is `batched` by the planes that are left;
 //! what is stored with each op is a measured deviation. All geometry is integer and all floating-point work is `+ - * /` and
 //! square roots in a fixed order, so the same input gives the same DAG everywhere.
 //!

@@ -9,8 +9,7 @@ use crate::ingest::hierarchy::Point;
 
 /// Weight of a boundary constraint plane, times the squared length of the boundary edge.
 const BOUNDARY_WEIGHT: f64 = 3.0;
-/// The same for the planes that collapses are chosen by, which do not add up: a border takes about as much of a coarse mesh as it
-/// deserves.
+/// The same for the planes that collapses are chosen by, which do not add up.
 const BORDER_WEIGHT: f64 = 1.0;
 /// Deviation, as a share of the edge's length, that a full-scale colour difference across it counts for in the order.
 const COLOR_WEIGHT: f64 = 0.25;
@@ -123,12 +122,13 @@ pub(crate) fn add_borders(
 /// chosen by. What was there before is forgotten (Lindstrom and Turk 1998: "memoryless"), which keeps the mean distance
 /// lower than accumulated quadrics do, at the same number of triangles; [`Quadric`] remembers, for the error.
 ///
-/// All the planes go through the vertex, so that a matrix is all there is.
+/// All the planes go through the vertex, so that a matrix is all there is. Their weights are areas to the power 3/2: halfway from
+/// the squared distance over an area to the squared volume, which Lindstrom and Turk take and which lets thin parts go too soon.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Planes {
     /// Upper triangle of the matrix: xx, xy, xz, yy, yz, zz.
     a: [f64; 6],
-    /// Sum of the weights, in squared lattice steps.
+    /// Sum of the weights, in lattice steps to the third.
     pub(crate) weight: f64,
 }
 
@@ -163,8 +163,9 @@ impl Planes {
     pub(crate) fn add_face(&mut self, normal: DVec3) {
         let length = normal.length();
         if length > 0.0 {
-            self.add(normal, 1.0 / (6.0 * length));
-            self.weight += length / 6.0;
+            let weight = weight_of(length / 6.0);
+            self.add(normal, weight / (length * length));
+            self.weight += weight;
         }
     }
 
@@ -173,8 +174,9 @@ impl Planes {
     pub(crate) fn remove_face(&mut self, normal: DVec3) {
         let length = normal.length();
         if length > 0.0 {
-            self.add(normal, -1.0 / (6.0 * length));
-            self.weight = (self.weight - length / 6.0).max(0.0);
+            let weight = weight_of(length / 6.0);
+            self.add(normal, -weight / (length * length));
+            self.weight = (self.weight - weight).max(0.0);
         }
     }
 
@@ -183,17 +185,22 @@ impl Planes {
         let side = along.cross(normal);
         let length_squared = side.length_squared();
         if length_squared > 0.0 {
-            let weight = BORDER_WEIGHT * along.length_squared();
+            let weight = weight_of(BORDER_WEIGHT * along.length_squared());
             self.add(side, weight / length_squared);
             self.weight += weight;
         }
     }
 
-    /// Value at offset `d` from the vertex, in lattice steps to the fourth.
+    /// Value at offset `d` from the vertex, in lattice steps to the fifth.
     #[inline]
     pub(crate) fn at(&self, d: DVec3) -> f64 {
         apply(&self.a, d).dot(d).max(0.0)
     }
+}
+
+#[inline]
+fn weight_of(area: f64) -> f64 {
+    area * area.sqrt()
 }
 
 #[inline]
@@ -242,8 +249,8 @@ impl Minimum {
     }
 }
 
-/// Costs of an edge in both directions: keeping `a`, and keeping `b`; in lattice steps to the fourth (squared distance times
-/// area). Each is the value at the kept vertex of the planes around the other, and what [`along`] adds for the area of the other.
+/// Costs of an edge in both directions: keeping `a`, and keeping `b`; in lattice steps to the fifth (squared distance times
+/// weight). Each is the value at the kept vertex of the planes around the other, and what [`along`] adds for its weight.
 #[inline]
 pub(crate) fn costs(a: &Point, planes_a: &Planes, b: &Point, planes_b: &Planes) -> [f64; 2] {
     let d = b.at() - a.at();
@@ -258,10 +265,10 @@ pub(crate) fn color_weight(a: [u8; 3], b: [u8; 3]) -> f64 {
     color_distance_squared(a, b) * (COLOR_WEIGHT * COLOR_WEIGHT)
 }
 
-/// What an edge adds to the quadrics' value: colour that changes over `area`, and the tie-break.
+/// What an edge adds to the planes' value: colour that changes over an area of this weight, and the tie-break.
 #[inline]
-pub(crate) fn along(length_squared: f64, color: f64, area: f64) -> f64 {
-    length_squared * (color * area + TIE_BREAK)
+pub(crate) fn along(length_squared: f64, color: f64, weight: f64) -> f64 {
+    length_squared * (color * weight + TIE_BREAK)
 }
 
 /// Squared Euclidean distance of two colours, as a share of full scale (black to white is 1).
@@ -280,7 +287,7 @@ const SLIVER_WEIGHT: f64 = 0.1;
 const SLIVER_HEIGHT: f64 = 0.05;
 
 /// What to add to the cost when collapsing `t` onto `s` makes a face thinner that is thin then: the deviation that would make
-/// as much harm, squared, over the area of `t`. `before` and `after` are (normal, squared longest edge) of an arc face.
+/// as much harm, squared, times the weight at the vertex that moves. `before` and `after` are (normal, squared longest edge) of an arc face.
 #[inline]
 pub(crate) fn sliver(before: (DVec3, f64), after: (DVec3, f64), length_squared: f64, weight: f64) -> f64 {
     // Height over longest edge is |n| / edge^2; compared squared, so that the common case takes no root.

@@ -87,7 +87,7 @@ pub(super) struct Place {
     pub(super) at: [i32; 3],
     /// Whether the first end stays, else the second.
     pub(super) keeps_first: bool,
-    /// In lattice steps to the fourth, as [`quadric::costs`].
+    /// In lattice steps to the fifth, as [`quadric::costs`].
     pub(super) cost: f64,
 }
 
@@ -98,16 +98,16 @@ impl Edge<'_> {
         Place { at, keeps_first: share <= 0.5, cost: self.cost(at, share) }
     }
 
-    /// Value of the planes of both ends at `at`, and what [`quadric::costs`] adds for colour: each end's area changes its colour as far
-    /// as the place lies from it along the edge.
+    /// Value of the planes of both ends at `at`, and what [`quadric::costs`] adds for colour: each end's surroundings change their colour as
+    /// far as the place lies from it along the edge.
     fn cost(&self, at: [i32; 3], share: f64) -> f64 {
         let [a, b] = self.ends.map(Point::at);
         let [qa, qb] = self.planes;
         let p = vector(at);
         let rest = 1.0 - share;
-        let area = share * share * qa.weight + rest * rest * qb.weight;
+        let changed = share * share * qa.weight + rest * rest * qb.weight;
         let color = quadric::color_weight(self.ends[0].color, self.ends[1].color);
-        qa.at(p - a) + qb.at(p - b) + quadric::along(a.distance_squared(b), color, area)
+        qa.at(p - a) + qb.at(p - b) + quadric::along(a.distance_squared(b), color, changed)
     }
 }
 
