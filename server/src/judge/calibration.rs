@@ -55,6 +55,9 @@ pub struct Calibration {
 /// strays from it. `progress` hears how many views are done. About 2 us for each vertex that a view shows, on one core; runs
 /// in the caller's thread pool.
 ///
+/// A vertex whose whole component is missing counts as far off as its component is large, not as the next other component is
+/// away: that much is not seen, and it is what the error of a spawn says.
+///
 /// # Errors
 /// [`PackError`] if a record is damaged.
 pub fn calibrate(
@@ -80,7 +83,8 @@ pub fn calibrate(
         let tolerance = f64::from(view.tolerance_px);
         let mut errors = Vec::with_capacity(found.len());
         for finding in &found {
-            let error = finding.pixels / tolerance;
+            let size = original.component_size(finding.shown.vertex) * view.pixel_scale() / finding.shown.depth;
+            let error = finding.pixels.min(size) / tolerance;
             front_facing.add(error);
             if finding.shown.is_unoccluded {
                 unoccluded.add(error);

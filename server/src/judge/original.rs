@@ -6,6 +6,7 @@ use rayon::prelude::*;
 
 use super::tree::TriangleTree;
 use crate::mesh::TriMesh;
+use crate::mesh::edges::DisjointSets;
 
 /// Vertices that one task works through in a row.
 pub(super) const BLOCK: usize = 2048;
@@ -17,6 +18,8 @@ pub struct Original {
     /// Sums of the normals of the faces around each vertex, weighted by area; not of unit length.
     normals: Vec<DVec3>,
     colors: Option<Vec<[u8; 3]>>,
+    /// Diagonal of the box of each vertex's component.
+    component_sizes: Vec<f64>,
     tree: TriangleTree,
     center: DVec3,
     radius: f64,
@@ -54,12 +57,14 @@ impl Original {
         // Neighbours in this order are neighbours in space, so that one query's answer is a good hint for the next.
         order.par_sort_by_cached_key(|&v| morton((at(v) - low) / size));
         let pick = |v: &u32| *v as usize;
+        let sizes = component_sizes(mesh);
         let (center, radius) =
             if order.is_empty() { (DVec3::ZERO, 0.0) } else { ((low + high) * 0.5, low.distance(high) * 0.5) };
         Self {
             positions: order.iter().map(|&v| at(v)).collect(),
             normals: order.iter().map(|v| normals[pick(v)]).collect(),
             colors: mesh.colors.as_ref().map(|colors| order.iter().map(|v| colors[pick(v)]).collect()),
+            component_sizes: order.iter().map(|v| sizes[pick(v)]).collect(),
             tree: TriangleTree::new(&triangles),
             center,
             radius,
@@ -74,6 +79,11 @@ impl Original {
     /// Where a vertex lies. Vertices are numbered along a curve through space, not as in the mesh.
     pub fn position(&self, vertex: u32) -> DVec3 {
         self.positions[vertex as usize]
+    }
+
+    /// Diagonal of the box of a vertex's component.
+    pub fn component_size(&self, vertex: u32) -> f64 {
+        self.component_sizes[vertex as usize]
     }
 
     /// Normal of a vertex, of any length.
@@ -149,4 +159,25 @@ fn morton(p: DVec3) -> u32 {
         (x | x << 2) & 0x0924_9249
     };
     spread(p.x.min(0.9999)) | spread(p.y.min(0.9999)) << 1 | spread(p.z.min(0.9999)) << 2
+}
+
+/// Diagonal of the box of each vertex's component. O(n log n) at worst, about linear.
+fn component_sizes(mesh: &TriMesh) -> Vec<f64> {
+    let mut sets = DisjointSets::new(mesh.positions.len());
+    for &[a, b, c] in &mesh.faces {
+        sets.join(a, b);
+        sets.join(b, c);
+    }
+    let mut boxes = vec![(DVec3::INFINITY, DVec3::NEG_INFINITY); mesh.positions.len()];
+    for (v, &at) in (0..).zip(&mesh.positions) {
+        let (low, high) = &mut boxes[sets.find(v) as usize];
+        *low = low.min(DVec3::from_array(at));
+        *high = high.max(DVec3::from_array(at));
+    }
+    (0..mesh.positions.len() as u32)
+        .map(|v| {
+            let (low, high) = boxes[sets.find(v) as usize];
+            low.distance(high)
+        })
+        .collect()
 }
