@@ -1,12 +1,13 @@
 //! From a mesh to an open model in memory, by the same steps as `ingest`.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use lodestream_server::ingest::clean::clean;
 use lodestream_server::ingest::ingest_to_vec;
 use lodestream_server::ingest::simplify::BuildOptions;
 use lodestream_server::mesh::TriMesh;
-use lodestream_server::pack::{Metadata, PackedModel};
+use lodestream_server::pack::{Metadata, PackedModel, extract_complete};
 
 /// A model and the mesh that it must refine to.
 #[derive(Debug)]
@@ -36,10 +37,14 @@ impl TestModel {
 
     /// Cleans and builds `mesh`.
     pub fn with_options(mesh: TriMesh, options: &BuildOptions) -> Self {
-        let (bytes, ..) = ingest_to_vec(&mesh, options, &Metadata::default()).expect("the mesh can be built");
-        let (clean, _) = clean(mesh);
+        let (bytes, report, _) = ingest_to_vec(&mesh, options, &Metadata::default()).expect("the mesh can be built");
+        let (mut clean, _) = clean(mesh);
         let pack = Arc::new(bytes);
-        Self { model: open(&pack), clean, pack }
+        let model = open(&pack);
+        if report.one_sided_edges > 0 {
+            turn_like(&mut clean, &model);
+        }
+        Self { model, clean, pack }
     }
 
     /// The model as one that was just opened: none of its pages has been read.
@@ -59,6 +64,20 @@ impl TestModel {
         let mut triangles: Vec<_> = self.clean.faces.iter().map(|f| canonical(f.map(at))).collect();
         triangles.sort_unstable();
         triangles
+    }
+}
+
+/// Turns faces to the side that they have in the model: which one that is, is up to whoever cuts a one-sided surface.
+fn turn_like(clean: &mut TriMesh, model: &PackedModel) {
+    let lattice = model.info().lattice;
+    let place = |mesh: &TriMesh, face: [u32; 3]| canonical(face.map(|v| lattice.quantize(mesh.positions[v as usize])));
+    let complete = extract_complete(model).expect("a pack just written is sound");
+    let theirs: BTreeSet<LatticeTriangle> = complete.faces.iter().map(|&face| place(&complete, face)).collect();
+    for i in 0..clean.faces.len() {
+        let [a, b, c] = clean.faces[i];
+        if !theirs.contains(&place(clean, [a, b, c])) {
+            clean.faces[i] = [a, c, b];
+        }
     }
 }
 

@@ -236,7 +236,7 @@ fn components_arrive_by_their_size_on_screen() {
             let priority = |op: u32| scorer.priority(&model.bounds(op).unwrap());
             let mut expected: Vec<u32> = wanted.into_iter().filter(|&op| op < model.spawn_count()).collect();
             expected.sort_by(|&a, &b| priority(b).total_cmp(&priority(a)).then(a.cmp(&b)));
-            assert!(arrived.len() > 2, "{} batches", arrived.len());
+            assert!(arrived.len() >= 2, "one batch has no order: {} batches", arrived.len());
             assert_eq!(arrived.iter().map(BTreeSet::len).sum::<usize>(), expected.len());
             // Without a limit all that is known to be wanted is sent, also before what is not known yet.
             if limit != UNLIMITED_TRIANGLES || matches!(disk, Disk::Instant) {

@@ -116,9 +116,9 @@ impl Scorer {
         }
     }
 
-    /// Wants what has no error, too.
-    pub fn with_all(self) -> Self {
-        Self { wants_all: true, ..self }
+    /// Wants every op, as a complete view does.
+    pub fn complete() -> Self {
+        Self { measure: Measure::Volume, wants_all: true, ..Self::by_error(0.0) }
     }
 
     /// Whether an op of this priority is wanted, limits aside.

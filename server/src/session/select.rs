@@ -99,14 +99,14 @@ pub fn ops_for_view(model: &PackedModel, view: &View) -> Result<Vec<u32>, PackEr
 }
 
 /// Every op with an error of more than `error` in model units, and what they need, within a triangle limit: parents before
-/// children, otherwise by error. Without `error` every op.
+/// children, otherwise by error. Without `error` every op, as in a complete view.
 ///
 /// # Errors
 /// [`PackError`] if a page is damaged.
 pub fn ops_by_error(model: &PackedModel, error: Option<f64>, limit: u32) -> Result<Vec<u32>, PackError> {
     let scorer = match error {
         Some(error) => Scorer::by_error((error / model.info().lattice.step) as f32),
-        None => Scorer::by_error(0.0).with_all(),
+        None => Scorer::complete(),
     };
     Ok(select(model, &scorer, limit, PageAccess::Blocking)?.ops)
 }

@@ -146,6 +146,30 @@ impl Star {
         best
     }
 
+    /// The point of one face right below or above `q`, if that face is here and the squared distance at most `enough`: where a
+    /// sample was near before, it mostly still is.
+    #[inline]
+    fn within_face(&self, q: DVec3, face: u32, enough: f64) -> Option<Nearest> {
+        let j = self.spokes.iter().position(|spoke| spoke.face == face)?;
+        let wedge = self.wedges.get(j)?;
+        let (spoke, k) = (&self.spokes[j], self.following(j));
+        let next = &self.spokes[k];
+        let height = q.dot(wedge.normal);
+        let distance_squared = height * height * wedge.inverse;
+        if distance_squared > enough || wedge.inverse == 0.0 {
+            return None;
+        }
+        let (along, along_next) = (q.dot(spoke.to), q.dot(next.to));
+        let u = (next.length_squared * along - wedge.dot * along_next) * wedge.inverse;
+        let v = (spoke.length_squared * along_next - wedge.dot * along) * wedge.inverse;
+        (u >= 0.0 && v >= 0.0 && u + v <= 1.0).then_some(Nearest {
+            distance_squared,
+            first: j,
+            second: k,
+            weights: [u, v],
+        })
+    }
+
     /// The face that a nearest point lies on or at the edge of.
     fn face(&self, at: &Nearest) -> u32 {
         self.spokes.get(at.first).map_or(NONE, |spoke| spoke.face)
@@ -330,7 +354,8 @@ impl Samples {
                 }
                 let point = &block.samples[i];
                 let at = point.at();
-                let nearest = star.nearest(at - star.center, worst);
+                let q = at - star.center;
+                let nearest = star.within_face(q, face, worst).unwrap_or_else(|| star.nearest(q, worst));
                 let mut distance_squared = nearest.distance_squared;
                 let mut face = star.face_at(&nearest, v);
                 let needs_border = on_border && point.is_boundary;

@@ -19,7 +19,7 @@ use crate::ingest::hierarchy::{
 };
 
 /// Share of the edges that a pass considers, cheapest first.
-const SHARE: f64 = 0.4;
+const SHARE: f64 = 0.2;
 /// Fewest edges that a pass considers.
 const MIN_CANDIDATES: u32 = 16;
 /// Factor on the sampled deviation and on the RMS quadric distance (ALGORITHMS section 5).
