@@ -1,4 +1,4 @@
-//! From a mesh file to a vertex-split DAG: [`read`], [`partition`], [`simplify`](mod@simplify), [`hierarchy`]; beside them the
+//! From a mesh file to a vertex-split DAG: [`read`], [`partition`](mod@partition), [`simplify`](mod@simplify), [`hierarchy`]; beside them the
 //! generated [`sample`].
 //!
 //! No stage holds the whole model: what is too long waits in a [`spill`]. Every stage gives the same on any number of threads

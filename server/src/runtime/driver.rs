@@ -1,6 +1,6 @@
 //! One session between two bounded channels: frames in, frames out, and the only clock that its core sees.
 //!
-//! The core itself lives on the compute threads: each call to it is one slice of the [`Pool`]. Nothing is asked of a core
+//! The core itself lives on the compute threads: each call to it is one slice of the [`Pool`](super::pool::Pool). Nothing is asked of a core
 //! before there is room for its answer, so a slow link costs no work and the newest view wins. Pages that a core wants go to the
 //! [`PageReader`](super::PageReader), and the core is told when some were read.
 

@@ -2,7 +2,7 @@
 //! simplification runs, and afterwards the records of a vertex-split DAG.
 //!
 //! Knows points, collapses and root faces; how collapses are found and ordered is the business of
-//! [`simplify`](super::simplify), which calls this module and is never called by it. Start at [`forest`].
+//! [`simplify`](super::simplify), which calls this module and is never called by it. Start at [`assembly`].
 
 #[allow(dead_code)]
 pub(crate) mod assembly;
