@@ -89,7 +89,7 @@ impl Ingested {
 
 /// Cleans and builds a mesh on `threads` threads, which take about 100 MB each. `progress` may be called from any of them.
 ///
-/// Peak memory is about 9 bytes per vertex (12 with colours), what `workspace` may keep, and 200 MB. Takes about 2
+/// Peak memory is about 9 bytes per vertex (12 with colours), what `workspace` may keep, and 200 MB. Takes about 3
 /// microseconds of processor time per triangle.
 ///
 /// # Errors

@@ -4,7 +4,6 @@
 //! Knows points, collapses and root faces; how collapses are found and ordered is the business of
 //! [`simplify`](super::simplify), which calls this module and is never called by it. Start at [`assembly`].
 
-#[allow(dead_code)]
 pub(crate) mod assembly;
 pub(crate) mod bounds;
 pub(crate) mod components;
