@@ -579,10 +579,9 @@ pub fn decode_batch(bytes: &[u8], state: &mut OpState, limit: u32) -> Result<OpC
         return Err(DecodeError::TooManyOps);
     }
     let mut after = None;
-    let lattice_bits = rounds.state.lattice_bits;
     for _ in 0..spawns {
         check(&rounds)?;
-        let may_hold = |_: &Decoder<'_>, v, f| fits(bytes.len(), lattice_bits, v, f);
+        let may_hold = |_: &Decoder<'_>, v, f| fits(bytes.len(), v, f);
         after = Some(rounds.spawn(after, 0, &Patch::default(), limit, may_hold)?.0);
     }
     loop {

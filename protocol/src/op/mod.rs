@@ -10,4 +10,4 @@ mod patch;
 mod range_coder;
 
 pub use batch::{BatchEncoder, DecodeError, OpCounts, OpState, decode_batch};
-pub use patch::{PatchDecodeError, decode_base, encode_base};
+pub use patch::{CanonicalOrder, PatchDecodeError, canonical_order, decode_base, encode_base};
