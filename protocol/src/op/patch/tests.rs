@@ -173,11 +173,16 @@ fn decode_dully(bytes: &[u8], lattice_bits: u8) -> Patch {
                 break 'found next;
             }
             let is_before = if fills { &mut models.across.fills } else { &mut steps.is_before };
-            if before.is_some() && coder.bit(is_before, false) {
-                break 'found before.unwrap();
+            if let Some(before) = before
+                && coder.bit(is_before, false)
+            {
+                break 'found before;
             }
-            if after.is_some() && !fills && coder.bit(&mut steps.is_after, false) {
-                break 'found after.unwrap();
+            if let Some(after) = after
+                && !fills
+                && coder.bit(&mut steps.is_after, false)
+            {
+                break 'found after;
             }
             let ends = usize::from(boundary.contains(&a)) + usize::from(boundary.contains(&b));
             if !is_closed && coder.bit(&mut models.across.is_boundary[ends], false) {
