@@ -7,7 +7,7 @@ use crate::quant::Lattice;
 use crate::view::View;
 
 /// Version of everything in `PROTOCOL.md`. Both ends must have the same.
-pub const PROTOCOL_VERSION: u16 = 1;
+pub const PROTOCOL_VERSION: u16 = 2;
 
 /// What a client says.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -1,4 +1,4 @@
-//! Golden frames of protocol version 1: the bytes of fixed messages and of a fixed session, as hexadecimal files. They hold
+//! Golden frames of protocol version 2: the bytes of fixed messages and of a fixed session, as hexadecimal files. They hold
 //! `PROTOCOL.md` and the code together and are never rewritten; a new version adds a folder.
 
 use std::path::PathBuf;
@@ -7,13 +7,13 @@ use glam::DVec3;
 use lodestream_protocol::ids::{BatchSeq, ModelHash, VertexSlot, ViewSeq};
 use lodestream_protocol::mesh::{Cut, NewVertex, Patch};
 use lodestream_protocol::message::{Batch, ClientMessage, Hello, ModelInfo, ServerMessage, Settled};
-use lodestream_protocol::op::{BatchEncoder, OpState, decode_base, decode_batch, encode_base};
+use lodestream_protocol::op::{BatchEncoder, OpState, canonical_order, decode_base, decode_batch, encode_base};
 use lodestream_protocol::quant::Lattice;
 use lodestream_protocol::view::{Projection, View};
 use lodestream_protocol::wire::{decode_client, decode_server, encode_client, encode_server};
 
 fn folder() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden/v1")
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden/v2")
 }
 
 fn hex(bytes: &[u8]) -> String {
@@ -103,7 +103,7 @@ fn client_messages() -> Vec<(&'static str, ClientMessage)> {
         (
             "hello.hex",
             ClientMessage::Hello(Hello {
-                version: 1,
+                version: 2,
                 triangle_limit: 1_000_000,
                 cache_entries: Some(300),
                 byte_rate: None,
@@ -150,7 +150,7 @@ fn server_messages() -> Vec<(&'static str, ServerMessage)> {
 }
 
 #[test]
-fn every_v1_client_frame_is_as_it_was() {
+fn every_v2_client_frame_is_as_it_was() {
     for (name, message) in client_messages() {
         let bytes = golden(name);
         assert_eq!(decode_client(&bytes).unwrap(), message, "{name}");
@@ -159,7 +159,7 @@ fn every_v1_client_frame_is_as_it_was() {
 }
 
 #[test]
-fn every_v1_server_frame_is_as_it_was() {
+fn every_v2_server_frame_is_as_it_was() {
     for (name, message) in server_messages() {
         let bytes = golden(name);
         assert_eq!(decode_server(&bytes).unwrap(), message, "{name}");
@@ -169,7 +169,7 @@ fn every_v1_server_frame_is_as_it_was() {
 
 /// The stored session decodes by itself: base, three batches, digests.
 #[test]
-fn the_v1_session_still_decodes() {
+fn the_v2_session_still_decodes() {
     let ServerMessage::Welcome { base, model, cache_entries } = decode_server(&golden("welcome.hex")).unwrap() else {
         panic!("the welcome is no welcome");
     };
@@ -186,13 +186,38 @@ fn the_v1_session_still_decodes() {
     assert_eq!(triangles, [13, 10, 12]);
 }
 
+/// The base as it is walked: its order is that of the walk, and so are the bytes.
+#[test]
+fn a_walked_base_is_as_it_was() {
+    let bytes = golden("base.hex");
+    let order = canonical_order(&base()).unwrap();
+    // From the corner with the smallest coordinates, in the first face there; then always across the newest edge.
+    assert_eq!(order.vertices, [0, 1, 2, 3, 4]);
+    let walked = order.apply(&base());
+    assert_eq!(decode_base(&bytes, 10, true).unwrap(), walked);
+    assert_eq!(hex(&encode_base(&walked, 10, true)), hex(&bytes));
+}
+
+/// What a server must still understand of a client of version 1, to tell it the version.
+#[test]
+fn a_v1_hello_still_decodes() {
+    let text = std::fs::read_to_string(folder().join("../v1/hello.hex")).unwrap();
+    let digits = text.trim();
+    let bytes: Vec<u8> =
+        (0..digits.len() / 2).map(|i| u8::from_str_radix(&digits[2 * i..2 * i + 2], 16).unwrap()).collect();
+    let ClientMessage::Hello(hello) = decode_client(&bytes).unwrap() else { panic!("the hello is none") };
+    assert_eq!(hello.version, 1);
+}
+
 /// Writes the files of a new version. Refuses to touch files that exist.
 #[test]
 #[ignore = "only for a new version of the protocol"]
 fn write_goldens() {
     let client = client_messages().into_iter().map(|(name, message)| (name, encode_client(&message)));
     let server = server_messages().into_iter().map(|(name, message)| (name, encode_server(&message)));
-    for (name, bytes) in client.chain(server) {
+    let walked = canonical_order(&base()).unwrap().apply(&base());
+    let base = std::iter::once(("base.hex", encode_base(&walked, 10, true)));
+    for (name, bytes) in client.chain(server).chain(base) {
         let path = folder().join(name);
         assert!(!path.exists(), "{name} exists: goldens are never rewritten");
         std::fs::write(path, hex(&bytes)).unwrap();

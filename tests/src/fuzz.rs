@@ -6,6 +6,9 @@ use std::sync::Arc;
 use fastrand::Rng;
 use glam::DVec3;
 use lodestream_client::core::{ClientConfig, ClientSession};
+use lodestream_protocol::mesh::{Patch, Replica};
+use lodestream_protocol::op::{canonical_order, decode_base, encode_base};
+use lodestream_protocol::testing::base_meshes;
 use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
 use lodestream_protocol::wire;
@@ -14,7 +17,7 @@ use lodestream_server::ingest::read::testing::{Seeds, jpeg, png, seeds};
 use lodestream_server::ingest::read::{read_gltf, read_mesh_in_memory, read_obj, read_off, read_ply, read_stl};
 use lodestream_server::ingest::simplify::BuildOptions;
 use lodestream_server::mesh::export::{PlyOptions, write_obj, write_ply, write_stl};
-use lodestream_server::pack::{self, Metadata, PackedModel};
+use lodestream_server::pack::{self, Metadata, PackedModel, extract_complete};
 use lodestream_server::session::{Session, SessionConfig};
 
 use crate::meshes;
@@ -92,6 +95,8 @@ pub fn targets() -> Vec<Target> {
             let _ = (wire::decode_client(&frame), wire::decode_server(&frame));
         }),
     );
+    let bases = bases(&colored.model);
+    add("base", Box::new(move |rng| base_case(rng, &bases)));
     add("pack", Box::new(move |rng| pack_case(rng, &pack)));
     targets.extend(readers());
     targets
@@ -207,6 +212,33 @@ fn server_case(rng: &mut Rng, models: &[Arc<PackedModel>; 2], sessions: &[Vec<Ve
                 Err(error) => panic!("a client's frame broke the server's own state: {error}"),
             }
         }
+    }
+}
+
+/// Patches of every topology and a larger one with colours, coded.
+fn bases(model: &PackedModel) -> Vec<Vec<u8>> {
+    let larger = extract_complete(model).expect("the pack is whole");
+    let quantize = |p: &[f64; 3]| model.info().lattice.quantize(*p);
+    let larger = Patch {
+        positions: larger.positions.iter().map(quantize).collect(),
+        colors: larger.colors.clone().expect("the model has colours"),
+        faces: larger.faces.clone(),
+    };
+    let mut bases = Vec::new();
+    for patch in base_meshes().into_iter().map(|(_, patch)| patch).chain([larger]) {
+        let walked = canonical_order(&patch).map(|order| order.apply(&patch));
+        bases.extend([Some(patch), walked].iter().flatten().map(|patch| encode_base(patch, 12, true)));
+    }
+    bases
+}
+
+fn base_case(rng: &mut Rng, bases: &[Vec<u8>]) {
+    let base = rng.usize(0..bases.len());
+    let bytes = mutated(rng, &bases[base]);
+    let Ok(patch) = decode_base(&bytes, 12, rng.u8(0..4) > 0) else { return };
+    if Replica::new(&patch).is_ok() {
+        let again = encode_base(&patch, 12, true);
+        assert_eq!(decode_base(&again, 12, true).as_ref(), Ok(&patch), "what was decoded can be encoded");
     }
 }
 

@@ -68,14 +68,9 @@ impl Models {
             same_cut: Prob::HALF,
             cut: CutModels::NEW,
             geometry: GeometryModels::NEW,
-            patch: PatchModels::new(),
+            patch: PatchModels::new(trained),
         };
-        let mut priors = trained.priors.iter();
-        models.for_each(&mut |context| {
-            if let Some(&prior) = priors.next() {
-                *context = Prob::at(prior);
-            }
-        });
+        models.start_from(trained.priors);
         models
     }
 }
@@ -200,6 +195,7 @@ impl OpState {
     #[cfg(any(test, feature = "testing"))]
     pub(super) fn for_each_context(&mut self, visit: &mut dyn FnMut(&mut Prob)) {
         self.models.for_each(visit);
+        self.models.patch.for_each(visit);
     }
 
     /// Bytes of memory held, for accounting.
@@ -693,7 +689,7 @@ pub fn decode_batch_tallied(
     limit: u32,
     tally: &mut super::training::Tally,
 ) -> Result<OpCounts, DecodeError> {
-    tally.attach(state);
+    tally.attach(|visit| state.for_each_context(visit));
     decode(Observed::new(Decoder::new(bytes), tally), bytes.len(), state, limit)
 }
 
@@ -717,10 +713,9 @@ fn decode<S: Source>(source: S, byte_count: usize, state: &mut OpState, limit: u
         return Err(DecodeError::TooManyOps);
     }
     let mut after = None;
-    let lattice_bits = rounds.state.lattice_bits;
     for _ in 0..spawns {
         check(&rounds)?;
-        let may_hold = |_: &S, v, f| fits(byte_count, lattice_bits, v, f);
+        let may_hold = |_: &S, v, f| fits(byte_count, v, f);
         after = Some(rounds.spawn(after, 0, &Patch::default(), limit, may_hold)?.0);
     }
     loop {

@@ -19,6 +19,8 @@ pub mod training;
 
 #[cfg(any(test, feature = "testing"))]
 pub use batch::decode_batch_tallied;
+#[cfg(any(test, feature = "testing"))]
+pub use patch::decode_base_tallied;
 
 pub use batch::{
     BatchEncoder, DecodeError, OpCounts, OpState, decode_batch, decode_batch_measured, decode_batch_traced,
@@ -27,5 +29,5 @@ pub use batch::{
 pub use cut::CutFeatures;
 pub use geometry::{GeometryFeatures, SizeFeatures};
 pub use observe::{BatchTrace, Breakdown, Part};
-pub use patch::{PatchDecodeError, decode_base, encode_base};
+pub use patch::{CanonicalOrder, PatchDecodeError, canonical_order, decode_base, encode_base};
 pub use trained::{CUT_SHAPES, CutWeights, SizeWeights, TRAINED, Trained};

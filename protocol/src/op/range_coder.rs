@@ -398,6 +398,16 @@ impl ScaledSet {
 pub(crate) trait Contexts {
     /// Calls `visit` with each context.
     fn for_each(&mut self, visit: &mut dyn FnMut(&mut Prob));
+
+    /// Sets the chance of a 0 in each context, in 1/2^16; those beyond the end of `priors` stay as they are.
+    fn start_from(&mut self, priors: &[u16]) {
+        let mut priors = priors.iter();
+        self.for_each(&mut |context| {
+            if let Some(&prior) = priors.next() {
+                *context = Prob::at(prior);
+            }
+        });
+    }
 }
 
 impl Contexts for Prob {

@@ -35,6 +35,8 @@ pub struct Trained {
     pub height_size: SizeWeights,
     /// Where each context starts, as the chance of a 0 in 1/2^16; even odds beyond the end.
     pub priors: &'static [u16],
+    /// Likewise for the contexts of the base mesh and of spawned patches.
+    pub patch_priors: &'static [u16],
 }
 
 /// Weights of the expected logarithm of a residual.

@@ -1,6 +1,5 @@
 //! What the training program (`tests/src/bin/train.rs`) needs to see of the codec.
 
-use super::batch::OpState;
 use super::cut::{CutFeatures, RANKED_VALENCES, for_each_pair};
 use super::geometry::GeometryFeatures;
 use super::local::Ring;
@@ -59,17 +58,18 @@ impl Sample {
 /// How often each context saw a 0 and a 1.
 #[derive(Clone, Debug, Default)]
 pub struct Tally {
-    /// By context, in the order of [`Trained::priors`](super::Trained::priors).
+    /// By context, in the order of [`Trained::priors`](super::Trained::priors), then of
+    /// [`Trained::patch_priors`](super::Trained::patch_priors); of a base only the latter.
     pub counts: Vec<[f64; 2]>,
-    by_address: std::collections::HashMap<usize, usize>,
+    by_address: std::collections::BTreeMap<usize, usize>,
 }
 
 impl Tally {
-    /// Finds the contexts of `state`, which must stay where it is until its batches are decoded.
-    pub(super) fn attach(&mut self, state: &mut OpState) {
+    /// Finds the contexts that `for_each` names; they must stay where they are until what they code is decoded.
+    pub(super) fn attach(&mut self, for_each: impl FnOnce(&mut dyn FnMut(&mut Prob))) {
         self.by_address.clear();
         let mut next = 0;
-        state.for_each_context(&mut |context| {
+        for_each(&mut |context| {
             self.by_address.insert(std::ptr::from_ref(context).addr(), next);
             next += 1;
         });

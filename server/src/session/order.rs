@@ -5,6 +5,7 @@
 //! the less of the mesh the batch is. A mesh never waits for more than one band to have all of what is twice as important.
 
 use super::select::{OpSet, Selection};
+use crate::pack::record::NO_OP;
 use crate::pack::{PackError, PackedModel};
 
 /// Ops of a selection that are not applied yet, parents before children. O(n log n) for n ops.
@@ -19,7 +20,7 @@ pub(super) fn sending_order(
     let mut out = Vec::new();
     let mut band: Vec<(u64, u32)> = Vec::new();
     let mut waiting = OpSet::default();
-    let mut stack: Vec<u32> = Vec::new();
+    let mut stack = Vec::new();
     let ends = selection.band_ends.iter().copied().filter(|&end| end < selection.ops.len());
     let mut start = 0;
     for end in ends.chain([selection.ops.len()]) {
@@ -32,28 +33,34 @@ pub(super) fn sending_order(
         waiting.clear();
         waiting.extend(band.iter().map(|&(_, op)| op));
         for &(_, op) in &band {
-            // An op goes out once none of its parents waits. A damaged pack may have a cycle: entering an op takes it off
-            // the list, so each is entered once.
-            stack.push(op);
-            while let Some(&op) = stack.last() {
-                if !waiting.contains(&op) {
+            // Depth first over parents. Each op is entered once, so damaged parents cannot make it loop.
+            enter(model, &mut waiting, &mut stack, op)?;
+            while let Some((op, parents, next)) = stack.last_mut() {
+                let Some(&parent) = parents.get(*next) else {
+                    out.push(*op);
                     stack.pop();
                     continue;
-                }
-                let (parents, count) = if op < model.spawn_count() { ([0; 3], 0) } else { model.parents(op)? };
-                let before = stack.len();
-                if stack.len() <= band.len() {
-                    stack.extend(parents[..count].iter().copied().filter(|parent| waiting.contains(parent)));
-                }
-                if stack.len() == before {
-                    stack.pop();
-                    waiting.remove(&op);
-                    out.push(op);
-                }
+                };
+                *next += 1;
+                enter(model, &mut waiting, &mut stack, parent)?;
             }
         }
     }
     Ok(out)
+}
+
+/// Takes `op` up if it waits.
+fn enter(
+    model: &PackedModel,
+    waiting: &mut OpSet,
+    stack: &mut Vec<(u32, [u32; 3], usize)>,
+    op: u32,
+) -> Result<(), PackError> {
+    if waiting.remove(&op) {
+        let (parents, _) = if op < model.spawn_count() { ([NO_OP; 3], 0) } else { model.parents(op)? };
+        stack.push((op, parents, 0));
+    }
+    Ok(())
 }
 
 /// Place of a point of the lattice along the Morton curve.

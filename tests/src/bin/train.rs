@@ -10,10 +10,11 @@ use std::fmt::Write as _;
 use std::path::Path as FilePath;
 
 use anyhow::Context as _;
+use lodestream_protocol::mesh::Patch;
 use lodestream_protocol::op::training::{CutSample, Sample, Tally};
 use lodestream_protocol::op::{
-    BatchEncoder, BatchTrace, CUT_SHAPES, CutWeights, OpState, SizeWeights, TRAINED, Trained, decode_batch_tallied,
-    encode_trace,
+    BatchEncoder, BatchTrace, CUT_SHAPES, CutWeights, OpState, SizeWeights, TRAINED, Trained, canonical_order,
+    decode_base_tallied, decode_batch_tallied, encode_base, encode_trace,
 };
 use lodestream_protocol::view::UNLIMITED_TRIANGLES;
 use lodestream_server::ingest::read::read_mesh_in_memory;
@@ -25,6 +26,8 @@ use lodestream_tests::traces::{Path, SessionTrace};
 
 /// Splits from which a session counts no more than another.
 const SESSION_SPLITS: f64 = 20_000.0;
+/// Weight of a session over a generated mesh in least squares, where one over a scan has 1.
+const GENERATED_WEIGHT: f64 = 0.02;
 /// Most samples taken of a session.
 const SESSION_SAMPLES: usize = 12_000;
 
@@ -34,16 +37,17 @@ fn main() -> anyhow::Result<()> {
     for file in &files {
         let (mesh, _) = read_mesh_in_memory(FilePath::new(file))?;
         let name = FilePath::new(file).file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
-        subjects.push(Subject::new(name, mesh)?);
+        subjects.push(Subject::new(name, 1.0, mesh)?);
     }
     for (name, mesh) in generated() {
-        subjects.push(Subject::new(name.into(), mesh)?);
+        subjects.push(Subject::new(name.into(), GENERATED_WEIGHT, mesh)?);
     }
     if flags.iter().any(|flag| flag == "--apart") {
         for i in 0..files.len() {
             let others: Vec<&Subject> = (0..subjects.len()).filter(|&j| j != i).map(|j| &subjects[j]).collect();
             let apart: &'static Trained = Box::leak(Box::new(train(&others)?));
-            let even: &'static Trained = Box::leak(Box::new(Trained { priors: &[], ..apart.clone() }));
+            let even: &'static Trained =
+                Box::leak(Box::new(Trained { priors: &[], patch_priors: &[], ..apart.clone() }));
             for session in &subjects[i].sessions {
                 let bits = |trained| {
                     Ok::<_, anyhow::Error>(session.encode(trained, None)? as f64 * 8.0 / session.splits as f64)
@@ -81,23 +85,30 @@ struct Subject {
 
 struct Session {
     path: String,
+    /// In least squares.
+    weight: f64,
     trace: SessionTrace,
     ops: Vec<(BatchTrace, u32)>,
     splits: u64,
     samples: Vec<(Sample, [i32; 3], [i32; 3])>,
+    /// The base, and the mesh after the first batches.
+    patches: Vec<Patch>,
 }
 
 impl Subject {
-    fn new(name: String, mesh: TriMesh) -> anyhow::Result<Self> {
+    fn new(name: String, weight: f64, mesh: TriMesh) -> anyhow::Result<Self> {
         let mut sessions = Vec::new();
         let exact = TestModel::with_options(mesh.clone(), &BuildOptions { bits: Some(14), ..BuildOptions::default() });
         for path in Path::ALL {
             let limit = if path == Path::Jump { 100_000 } else { UNLIMITED_TRIANGLES };
-            sessions.push(Session::new(path.name().into(), SessionTrace::record(&exact, path, limit))?);
+            sessions.push(Session::new(path.name().into(), weight, SessionTrace::record(&exact, path, limit))?);
         }
         let coarse = TestModel::with_options(mesh.clone(), &BuildOptions { bits: Some(11), ..BuildOptions::default() });
-        sessions
-            .push(Session::new("11 bits".into(), SessionTrace::record(&coarse, Path::Complete, UNLIMITED_TRIANGLES))?);
+        sessions.push(Session::new(
+            "11 bits".into(),
+            weight,
+            SessionTrace::record(&coarse, Path::Complete, UNLIMITED_TRIANGLES),
+        )?);
         for placement in [PlacementChoice::Optimal, PlacementChoice::Subset] {
             if mesh.faces.len() < 200_000 {
                 let moving = TestModel::with_options(
@@ -105,7 +116,7 @@ impl Subject {
                     &BuildOptions { bits: Some(14), placement, ..BuildOptions::default() },
                 );
                 let trace = SessionTrace::record(&moving, Path::Complete, UNLIMITED_TRIANGLES);
-                sessions.push(Session::new(format!("{placement:?}").to_lowercase(), trace)?);
+                sessions.push(Session::new(format!("{placement:?}").to_lowercase(), weight, trace)?);
             }
         }
         Ok(Self { name, sessions })
@@ -113,12 +124,34 @@ impl Subject {
 }
 
 impl Session {
-    fn new(path: String, trace: SessionTrace) -> anyhow::Result<Self> {
+    fn new(path: String, weight: f64, trace: SessionTrace) -> anyhow::Result<Self> {
         let ops = trace.ops()?;
         let splits = ops.iter().flat_map(|(batch, _)| &batch.splits).map(|round| round.len() as u64).sum::<u64>();
-        let mut session = Self { path, trace, ops, splits, samples: Vec::new() };
+        let mut session = Self { path, weight, trace, ops, splits, samples: Vec::new(), patches: Vec::new() };
+        session.patches = session.take_patches()?;
         session.samples = session.take_samples()?;
         Ok(session)
+    }
+
+    fn take_patches(&self) -> anyhow::Result<Vec<Patch>> {
+        let mut state = self.trace.start();
+        let mut patches = vec![self.trace.base.clone()];
+        for (batch, limit) in &self.ops {
+            if state.replica().triangle_count() > 2_000 {
+                break;
+            }
+            encode_trace(batch, &mut state, *limit)?;
+            let replica = state.replica();
+            let slots: Vec<u32> = replica.vertices().iter().collect();
+            let rank = |slot: u32| slots.binary_search(&slot).expect("corners are vertices") as u32;
+            let patch = Patch {
+                positions: slots.iter().map(|&slot| replica.positions()[slot as usize]).collect(),
+                colors: slots.iter().map(|&slot| replica.colors()[slot as usize]).collect(),
+                faces: replica.corners().iter().filter(|c| **c != [0; 3]).map(|c| c.map(rank)).collect(),
+            };
+            patches.extend(canonical_order(&patch).map(|order| order.apply(&patch)));
+        }
+        Ok(patches)
     }
 
     fn take_samples(&self) -> anyhow::Result<Vec<(Sample, [i32; 3], [i32; 3])>> {
@@ -175,31 +208,62 @@ impl Session {
 
 fn train(subjects: &[&Subject]) -> anyhow::Result<Trained> {
     let sessions: Vec<&Session> = subjects.iter().flat_map(|subject| &subject.sessions).collect();
+    // Where nothing moves `s`, and generated meshes count little: their vertices lie more regularly than those of scans.
+    let weighty: Vec<&Session> = sessions.iter().copied().filter(|session| !session.trace.has_moves).collect();
     let mut trained = Trained {
-        cut: fit_cuts(&sessions),
-        position: fit_position(&sessions)?,
+        cut: fit_cuts(&weighty.iter().copied().filter(|session| session.weight == 1.0).collect::<Vec<_>>()),
+        position: fit_position(&weighty)?,
         tangent_size: TRAINED.tangent_size.clone(),
         height_size: TRAINED.height_size.clone(),
         priors: &[],
+        patch_priors: &[],
     };
-    [trained.tangent_size, trained.height_size] = fit_sizes(&sessions, &trained.position)?;
+    [trained.tangent_size, trained.height_size] = fit_sizes(&weighty, &trained.position)?;
     let weights: &'static Trained = Box::leak(Box::new(trained.clone()));
-    let mut sums: Vec<[f64; 2]> = Vec::new();
+    let mut patch_sums = Sums::default();
+    for session in sessions.iter().filter(|session| session.path == Path::Complete.name()) {
+        for patch in &session.patches {
+            let mut tally = Tally::default();
+            let SessionTrace { lattice_bits, has_colors, .. } = session.trace;
+            let bytes = encode_base(patch, lattice_bits, has_colors);
+            decode_base_tallied(&bytes, lattice_bits, has_colors, &mut tally)?;
+            patch_sums.add(&tally.counts, 1.0);
+        }
+    }
+    let patch_contexts = patch_sums.0.len();
+    let mut sums = Sums::default();
     for session in sessions {
         let mut tally = Tally::default();
         session.encode(weights, Some(&mut tally))?;
         let weight = (SESSION_SPLITS / session.splits.max(1) as f64).min(1.0);
-        sums.resize(tally.counts.len(), [0.0; 2]);
-        for (sum, count) in sums.iter_mut().zip(&tally.counts) {
+        let (ops, patches) = tally.counts.split_at(tally.counts.len() - patch_contexts);
+        sums.add(ops, weight);
+        patch_sums.add(patches, weight);
+    }
+    trained.priors = sums.priors();
+    trained.patch_priors = patch_sums.priors();
+    Ok(trained)
+}
+
+/// What contexts saw in all sessions.
+#[derive(Default)]
+struct Sums(Vec<[f64; 2]>);
+
+impl Sums {
+    fn add(&mut self, counts: &[[f64; 2]], weight: f64) {
+        self.0.resize(counts.len(), [0.0; 2]);
+        for (sum, count) in self.0.iter_mut().zip(counts) {
             sum[0] += count[0] * weight;
             sum[1] += count[1] * weight;
         }
     }
-    // Half a sighting of either for what was hardly seen.
-    let chance = |[zero, one]: [f64; 2]| (zero + 0.5) / (zero + one + 1.0);
-    let priors = sums.into_iter().map(|count| (chance(count) * 65_536.0).round().clamp(64.0, 65_472.0) as u16);
-    trained.priors = Box::leak(priors.collect::<Vec<u16>>().into_boxed_slice());
-    Ok(trained)
+
+    fn priors(&self) -> &'static [u16] {
+        // Half a sighting of either for what was hardly seen.
+        let chance = |&[zero, one]: &[f64; 2]| (zero + 0.5) / (zero + one + 1.0);
+        let fixed = |count| (chance(count) * 65_536.0).round().clamp(64.0, 65_472.0) as u16;
+        Box::leak(self.0.iter().map(fixed).collect::<Vec<u16>>().into_boxed_slice())
+    }
 }
 
 /// Sums of a linear least-squares problem.
@@ -255,7 +319,8 @@ fn fit_position(sessions: &[&Session]) -> anyhow::Result<[[i32; 4]; CUT_SHAPES]>
         for (sample, s, t) in &session.samples {
             let features = &sample.geometry;
             // In units of the mean spoke, so that all scales count alike.
-            let weight = (-f64::from(features.tangent[0]) / 16.0).exp2() / session.samples.len() as f64;
+            let weight =
+                (-f64::from(features.tangent[0]) / 16.0).exp2() * session.weight / session.samples.len() as f64;
             for k in 0..3 {
                 let row: [f64; 4] = std::array::from_fn(|i| features.centers[i][k] as f64 / 64.0);
                 problems[features.shape].add(weight, &row, f64::from(t[k] - s[k]));
@@ -294,7 +359,7 @@ fn fit_sizes(sessions: &[&Session], position: &[[i32; 4]; CUT_SHAPES]) -> anyhow
                     *x = f64::from(feature) / 2.0;
                 }
                 row[6 + features.shape] = 1.0;
-                problem.add(1.0 / session.samples.len() as f64, &row, octaves(target));
+                problem.add(session.weight / session.samples.len() as f64, &row, octaves(target));
             }
         }
     }
@@ -399,11 +464,14 @@ fn table(trained: &Trained) -> String {
             "    {name}: SizeWeights {{\n        constant: {constant:?},\n        features: {features:?},\n    }},"
         ));
     }
-    line("    priors: &[".into());
-    trained.priors.chunks(20).for_each(|priors| {
-        let text: Vec<String> = priors.iter().map(u16::to_string).collect();
-        line(format!("        {},", text.join(", ")));
-    });
-    line("    ],\n};".into());
+    for (name, priors) in [("priors", trained.priors), ("patch_priors", trained.patch_priors)] {
+        line(format!("    {name}: &["));
+        priors.chunks(20).for_each(|priors| {
+            let text: Vec<String> = priors.iter().map(u16::to_string).collect();
+            line(format!("        {},", text.join(", ")));
+        });
+        line("    ],".into());
+    }
+    line("};".into());
     out
 }

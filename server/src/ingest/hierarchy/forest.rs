@@ -1,5 +1,6 @@
 //! From collapses to the records of a [`Dag`]: final ids, tree parents, cut references, base and spawns.
 
+use lodestream_protocol::op::canonical_order;
 use lodestream_protocol::quant::Lattice;
 
 pub(crate) use super::order::morton;
@@ -67,6 +68,8 @@ struct Roots {
     vertices_of: Vec<Vec<u32>>,
     /// Per face of the complete mesh, its root number.
     face_numbers: Vec<u32>,
+    /// Per face of the complete mesh, which corner is stored first.
+    face_firsts: Vec<u8>,
 }
 
 impl Roots {
@@ -102,6 +105,22 @@ impl Roots {
             })
             .collect();
         spawns.sort_by_key(|&(_, bounds)| std::cmp::Reverse(bounds.error));
+        let mut face_firsts = vec![0; simplified.removed_by.len()];
+        for (vertices, faces) in vertices_of.iter_mut().zip(&mut faces_of) {
+            let index_of = |v: u32| vertices.iter().position(|&w| w == v).expect("a vertex of the component") as u32;
+            let points = vertices.iter().map(|&v| &simplified.points[v as usize]);
+            let patch = lodestream_protocol::mesh::Patch {
+                positions: points.clone().map(|point| point.position).collect(),
+                colors: points.map(|point| point.color).collect(),
+                faces: faces.iter().map(|&i| simplified.root_faces[i as usize].1.map(index_of)).collect(),
+            };
+            let Some(order) = canonical_order(&patch) else { continue };
+            *vertices = order.vertices.iter().map(|&v| vertices[v as usize]).collect();
+            *faces = order.faces.iter().map(|&(f, _)| faces[f as usize]).collect();
+            for (&i, &(_, first)) in faces.iter().zip(&order.faces) {
+                face_firsts[simplified.root_faces[i as usize].0 as usize] = first;
+            }
+        }
         let mut spawn_of = vec![NONE; components.count()];
         let mut face_numbers = vec![NONE; simplified.removed_by.len()];
         let (mut vertex, mut face) = (0, 0);
@@ -118,7 +137,7 @@ impl Roots {
                 face += 1;
             }
         }
-        Self { base, spawns, spawn_of, faces_of, vertex_numbers, vertices_of, face_numbers }
+        Self { base, spawns, spawn_of, faces_of, vertex_numbers, vertices_of, face_numbers, face_firsts }
     }
 }
 
@@ -231,7 +250,9 @@ impl Converter<'_> {
         let (face, corner) = (h / 3, h % 3);
         let op = self.simplified.removed_by[face as usize];
         if op == NONE {
-            return CutRef::Root { face: self.roots.face_numbers[face as usize], edge: corner as u8 };
+            let first = u32::from(self.roots.face_firsts[face as usize]);
+            let edge = ((corner + 3 - first) % 3) as u8;
+            return CutRef::Root { face: self.roots.face_numbers[face as usize], edge };
         }
         let owner = &self.simplified.collapses[op as usize];
         let (side, first) =
@@ -290,7 +311,8 @@ impl Converter<'_> {
                 patch.first_splits.push(if last == NONE { NO_OP } else { self.ids[last as usize] });
             }
             for &i in &self.roots.faces_of[component as usize] {
-                let corners = self.simplified.root_faces[i as usize].1;
+                let (face, mut corners) = self.simplified.root_faces[i as usize];
+                corners.rotate_left(self.roots.face_firsts[face as usize].into());
                 patch.faces.push(corners.map(|v| self.roots.vertex_numbers[v as usize] - offset));
             }
         }

@@ -27,6 +27,8 @@ pub(super) struct Recorder {
     ops: u32,
     base_vertices: u32,
     base_faces: u32,
+    /// By number of a root face, which of its corners is stored first.
+    root_firsts: Vec<u8>,
     /// By place among the root vertices: number and spawn.
     roots: Vec<(u32, u32)>,
     /// See [`Shape`](super::Shape).
@@ -77,6 +79,7 @@ impl Recorder {
             ops,
             base_vertices: outline.starts[0].vertex,
             base_faces: outline.starts[0].face,
+            root_firsts: roots.firsts_by_number(),
             roots: roots.vertex_numbers.iter().copied().zip(roots.vertex_owners.iter().copied()).collect(),
             depth: 0,
             parents: [0; 4],
@@ -185,7 +188,10 @@ impl Recorder {
             }
         };
         // Stored corners start at `s` of `f_l` and at `t` of `f_r`, where the halves of the collapsed edge start.
-        let first = if code < self.ops * CODES { code % 3 } else { 0 };
+        let first = match code.checked_sub(self.ops * CODES) {
+            None => code % 3,
+            Some(number) => self.root_firsts[number as usize].into(),
+        };
         Ok((code, ((h % 3 + 3 - first) % 3) as u8))
     }
 

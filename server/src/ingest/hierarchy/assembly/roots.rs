@@ -2,8 +2,12 @@
 //! are numbered.
 
 use std::cmp::Reverse;
+use std::ops::Range;
 
 use glam::DVec3;
+use lodestream_protocol::mesh::Patch;
+use lodestream_protocol::op::canonical_order;
+use rayon::prelude::*;
 
 use super::{Model, invalid};
 use crate::ingest::hierarchy::bounds::whole_component;
@@ -26,6 +30,8 @@ pub(super) struct Roots {
     pub(super) vertex_owners: Vec<u32>,
     /// By root face as given, its number.
     pub(super) face_numbers: Vec<u32>,
+    /// By root face as given, which of its corners is stored first.
+    face_firsts: Vec<u8>,
 }
 
 /// Places in a list, by component.
@@ -54,8 +60,19 @@ impl Grouped {
     }
 
     fn of(&self, component: u32) -> &[u32] {
+        &self.places[self.range(component)]
+    }
+
+    /// Puts what a component has in this order, as indices into what [`of`](Self::of) gives.
+    fn reorder(&mut self, component: u32, order: impl Iterator<Item = u32>) {
+        let range = self.range(component);
+        let places: Vec<u32> = order.map(|i| self.places[range.start + i as usize]).collect();
+        self.places[range].copy_from_slice(&places);
+    }
+
+    fn range(&self, component: u32) -> Range<usize> {
         let [first, end] = [component, component + 1].map(|c| self.starts[c as usize] as usize);
-        &self.places[first..end]
+        first..end
     }
 }
 
@@ -128,9 +145,57 @@ impl Roots {
             vertex_numbers: vec![NONE; vertices.len()],
             vertex_owners: vec![NO_OP; vertices.len()],
             face_numbers: vec![NONE; faces.len()],
+            face_firsts: vec![0; faces.len()],
         };
+        roots.put_in_order(vertices, faces)?;
         roots.number();
         Ok(roots)
+    }
+
+    /// Puts the vertices and faces of each component in the order in which a patch is coded best.
+    fn put_in_order(&mut self, vertices: &[RootVertex], faces: &[RootFace]) -> Result<(), WriteError> {
+        let mut index_of = vec![NONE; vertices.len()];
+        let components = self.vertices.starts.len() as u32 - 1;
+        for component in 0..components {
+            for (index, &place) in (0..).zip(self.vertices.of(component)) {
+                index_of[place as usize] = index;
+            }
+        }
+        let order = |component: u32| -> Result<_, WriteError> {
+            let mut patch = Patch::default();
+            for &place in self.vertices.of(component) {
+                patch.positions.push(vertices[place as usize].position);
+                patch.colors.push(vertices[place as usize].color);
+            }
+            for &place in self.faces.of(component) {
+                let mut corners = faces[place as usize].corners;
+                for corner in &mut corners {
+                    *corner = index_of[place_of(vertices, *corner)? as usize];
+                }
+                patch.faces.push(corners);
+            }
+            Ok(canonical_order(&patch))
+        };
+        let orders: Vec<_> = (0..components).into_par_iter().map(order).collect::<Result<_, _>>()?;
+        for (component, order) in (0..).zip(orders) {
+            // A component that cannot be walked is sent as it is.
+            let Some(order) = order else { continue };
+            self.vertices.reorder(component, order.vertices.into_iter());
+            self.faces.reorder(component, order.faces.iter().map(|&(face, _)| face));
+            for (&place, &(_, first)) in self.faces.of(component).iter().zip(&order.faces) {
+                self.face_firsts[place as usize] = first;
+            }
+        }
+        Ok(())
+    }
+
+    /// By number of a root face, which of its corners is stored first.
+    pub(super) fn firsts_by_number(&self) -> Vec<u8> {
+        let mut firsts = vec![0; self.face_numbers.len()];
+        for (&number, &first) in self.face_numbers.iter().zip(&self.face_firsts) {
+            firsts[number as usize] = first;
+        }
+        firsts
     }
 
     fn number(&mut self) {
@@ -188,6 +253,7 @@ impl Roots {
                         let number = self.vertex_numbers[place_of(vertices, *corner)? as usize];
                         *corner = number - first;
                     }
+                    corners.rotate_left(self.face_firsts[place as usize].into());
                     outline.faces.push(corners);
                 }
             }
