@@ -105,7 +105,7 @@ fn run_snapshot(args: SnapshotArgs) -> anyhow::Result<()> {
             complete: args.complete,
             two_sided: false,
         },
-        shape: LinkShape { rate: args.rate, latency: args.latency },
+        shape: LinkShape { rate: args.rate, latency: args.latency, ..LinkShape::default() },
         until: args.until,
         output: args.output,
         export: args.export,
