@@ -15,8 +15,9 @@ use lodestream_client::app::file::{check_folder, write_aside};
 use lodestream_client::app::snapshot::{self, SnapshotOptions};
 use lodestream_client::camera::recording::Recording;
 use lodestream_client::camera::{Detail, Viewport};
+use lodestream_client::load::pace::Pace;
 use lodestream_client::load::path::Path as CameraPath;
-use lodestream_client::load::{self, LoadOptions, Pace};
+use lodestream_client::load::{self, LoadOptions};
 use lodestream_client::net::link::{LinkRate, LinkShape, Stalls, parse_duration};
 use lodestream_client::net::target::Target;
 use lodestream_protocol::view::UNLIMITED_TRIANGLES;
@@ -62,7 +63,7 @@ struct SnapshotArgs {
     /// Want every op of the model, whatever the view
     #[arg(long)]
     complete: bool,
-    /// Rate of the simulated link from the server: 'unlimited' or such as 1Mbit, 256kbit
+    /// Rate of the simulated link, in each direction: 'unlimited' or such as 1Mbit, 256kbit
     #[arg(long, value_name = "RATE", default_value = "unlimited")]
     rate: LinkRate,
     /// One-way latency of the simulated link, such as 50ms

@@ -154,6 +154,11 @@ impl Recording {
         if views.is_empty() { Err(RecordingError::Empty) } else { Ok(Self { views }) }
     }
 
+    /// Time of the last view.
+    pub fn duration(&self) -> Duration {
+        self.views.last().map_or(Duration::ZERO, RecordedView::time)
+    }
+
     /// All views.
     pub fn views(&self) -> &[RecordedView] {
         &self.views

@@ -1,5 +1,6 @@
 //! One client: a real session over a real socket, a camera that moves, and what it measures on the way.
 
+use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -10,9 +11,10 @@ use lodestream_protocol::message::CloseCode;
 use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::ViewError;
 
+use super::LoadOptions;
+use super::pace::Pace;
 use super::path::{Path, Pose, poses};
 use super::totals::{Counters, FIRST_INTERVAL, Interval, Phase, SingleKindBatches, Totals};
-use super::{LoadOptions, Pace};
 use crate::camera::{Bounds, Camera};
 use crate::core::{ClientConfig, ClientError, ClientSession, Stats};
 use crate::net::native::{Connection, Delivery, Event, NetError};
@@ -102,7 +104,6 @@ fn micros(time: Duration) -> u64 {
 struct Watched {
     seq: ViewSeq,
     set_at: Timestamp,
-    is_served: bool,
     is_settled: bool,
     stale_bytes: u64,
 }
@@ -119,6 +120,9 @@ struct Client<'a> {
     /// Number of the newest view of the path, counted on over its repetitions.
     step: u64,
     watched: Option<Watched>,
+    /// Views that no batch was applied for, nor for a later one, and when they were set. A server that is silent for
+    /// [`SILENCE`] ends the client, which bounds them.
+    unserved: VecDeque<(ViewSeq, Timestamp)>,
     phase: Phase,
     has_first_image: bool,
     has_settled: bool,
@@ -149,6 +153,7 @@ impl<'a> Client<'a> {
             began: Timestamp::default(),
             step: 0,
             watched: None,
+            unserved: VecDeque::new(),
             phase: Phase::FirstView,
             has_first_image: false,
             has_settled: false,
@@ -248,17 +253,19 @@ impl<'a> Client<'a> {
             totals.first_image_bytes.add(bytes);
         }
         let Some(watched) = &mut self.watched else { return };
-        if after.batches > before.batches {
-            if self.session.applied_view() != Some(watched.seq) {
+        if let Some(applied) = self.session.applied_view().filter(|_| after.batches > before.batches) {
+            if applied != watched.seq {
                 watched.stale_bytes += bytes;
-            } else if !watched.is_served {
-                watched.is_served = true;
+            }
+            while let Some((_, set_at)) = self.unserved.pop_front_if(|(seq, _)| *seq <= applied) {
                 self.counters.views_served += 1;
-                self.shared.lock().view_to_first_op.add(micros(now.since(watched.set_at)));
+                self.shared.lock().view_to_first_op.add(micros(now.since(set_at)));
             }
         }
         if let Some(settled) = self.session.settled().filter(|_| !watched.is_settled) {
             watched.is_settled = true;
+            // Views that needed nothing.
+            self.unserved.clear();
             self.counters.views_settled += 1;
             let mut totals = self.shared.lock();
             totals.view_to_settled.add(micros(now.since(watched.set_at)));
@@ -306,12 +313,11 @@ impl<'a> Client<'a> {
 
     /// The step that is due now, if it is another one.
     fn next_step(&self, now: Timestamp) -> Option<u64> {
-        let elapsed = now.since(self.began);
-        let next = match self.options.pace {
+        let pace = self.options.pace;
+        let next = match pace {
             Pace::Settled => self.step + u64::from(self.session.settled().is_some()),
             // A client that comes late goes to where the camera is by now.
-            Pace::PerSecond(rate) => (elapsed.as_secs_f64() * rate) as u64,
-            Pace::Recorded => self.recorded_step(elapsed),
+            _ => pace.step_at(&self.options.path, now.since(self.began)).unwrap_or(self.step),
         };
         let last = if self.options.duration.is_some() { u64::MAX } else { self.length() - 1 };
         Some(next.min(last)).filter(|&next| next > self.step)
@@ -348,7 +354,8 @@ impl<'a> Client<'a> {
             }
         }
         self.counters.views += 1;
-        self.watched = Some(Watched { seq, set_at: now, is_served: false, is_settled: false, stale_bytes: 0 });
+        self.unserved.push_back((seq, now));
+        self.watched = Some(Watched { seq, set_at: now, is_settled: false, stale_bytes: 0 });
         Ok(true)
     }
 
@@ -367,36 +374,12 @@ impl<'a> Client<'a> {
         }
     }
 
-    /// The newest view whose time has come, the recording played again and again.
-    fn recorded_step(&self, elapsed: Duration) -> u64 {
-        let Path::Recorded(recording) = &self.options.path else { return self.step };
-        let views = recording.views();
-        let round = round_length(views.last().map_or(Duration::ZERO, |view| view.time()));
-        let rounds = (elapsed.as_nanos() / round.as_nanos()) as u64;
-        let within = Duration::from_nanos((elapsed.as_nanos() % round.as_nanos()) as u64);
-        let passed = views.partition_point(|view| view.time() <= within) as u64;
-        (rounds * views.len() as u64 + passed).saturating_sub(1)
-    }
-
     /// When the next view is due, if time decides that.
     fn next_view_at(&self) -> Option<Timestamp> {
         let next = self.step + 1;
-        if self.watched.is_none() || self.options.duration.is_none() && next >= self.length() {
-            return None;
-        }
-        let after = match (self.options.pace, &self.options.path) {
-            (Pace::PerSecond(rate), _) => Duration::from_secs_f64(next as f64 / rate),
-            (Pace::Recorded, Path::Recorded(recording)) => {
-                let views = recording.views();
-                let round = round_length(views.last().map_or(Duration::ZERO, |view| view.time()));
-                let count = views.len() as u64;
-                let rounds = u32::try_from(next / count).unwrap_or(u32::MAX);
-                round.saturating_mul(rounds).saturating_add(views[(next % count) as usize].time())
-            }
-            _ => return None,
-        };
-        // A microsecond later, so that rounding does not wake too early again and again.
-        Some(self.began + after + Duration::from_micros(1))
+        let is_last = self.options.duration.is_none() && next >= self.length();
+        self.watched.filter(|_| !is_last)?;
+        Some(self.began + self.options.pace.time_of(&self.options.path, next)?)
     }
 
     fn is_over(&self, now: Timestamp) -> bool {
@@ -439,11 +422,6 @@ impl<'a> Client<'a> {
         totals.resets += u64::from(stats.resets);
         totals.dropped_batches += stats.dropped_batches;
     }
-}
-
-/// How long a recording takes: a tick more than its last view's time, so that a round is never empty.
-fn round_length(last: Duration) -> Duration {
-    last + Duration::from_millis(33)
 }
 
 /// Processor time that this thread has used; where the system does not say, time.

@@ -2,19 +2,19 @@
 //!
 //! Each client is a task with the session core and the socket of the real client, behind a link of its own; nothing is drawn.
 //!
-//! - [`path`]: where cameras go. `client`: one client. `totals`, `histogram`: what they measure, in bounded memory.
+//! - [`path`]: where cameras go. [`pace`]: when. `client`: one client. `totals`, `histogram`: what they measure, in bounded memory.
 //! - [`report`]: the figures for people and machines.
 //!
 //! Links are in [`net`](crate::net), below the WebSocket.
 
 mod client;
 mod histogram;
+pub mod pace;
 pub mod path;
 pub mod report;
 mod totals;
 
 use std::io::{self, IsTerminal, Write};
-use std::str::FromStr;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -25,40 +25,12 @@ use crate::camera::{Detail, Viewport};
 use crate::net::link::LinkShape;
 use crate::net::target::Target;
 use client::{Shared, play};
+use pace::Pace;
 use path::Path;
 use report::Report;
 
 /// Time between two progress lines.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(500);
-
-/// What decides when a client's next view is due.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Pace {
-    /// So many a second, above 0.
-    PerSecond(f64),
-    /// When the view before it has settled.
-    Settled,
-    /// The recording's times.
-    Recorded,
-}
-
-/// Why a flag's value makes no sense.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("'{0}' is no rate of views: write a number from 0.001 to 1000 (per second) or 'settled'")]
-pub struct PaceError(String);
-
-impl FromStr for Pace {
-    type Err = PaceError;
-
-    /// `settled`, or views per second.
-    fn from_str(text: &str) -> Result<Self, PaceError> {
-        if text == "settled" {
-            return Ok(Self::Settled);
-        }
-        let rate = text.parse().ok().filter(|rate| (0.001..=1000.0).contains(rate));
-        rate.map(Self::PerSecond).ok_or_else(|| PaceError(text.into()))
-    }
-}
 
 /// What to run.
 #[derive(Clone, Debug, PartialEq)]
@@ -172,6 +144,3 @@ impl Progress {
         }
     }
 }
-
-#[cfg(test)]
-mod tests;

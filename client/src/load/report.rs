@@ -6,11 +6,12 @@ use std::time::Duration;
 
 use serde::Serialize;
 
+use super::LoadOptions;
 pub use super::histogram::Percentiles;
+use super::pace::Pace;
 use super::path::Path;
 use super::totals::{Counters, Interval, Totals};
 pub use super::totals::{SingleKind, SingleKindBatches};
-use super::{LoadOptions, Pace};
 use crate::net::link::LinkRate;
 
 /// What was asked for.
@@ -133,7 +134,7 @@ pub struct Report {
     pub first_settled_ms: Option<Percentiles>,
     /// Bytes received until then.
     pub first_settled_bytes: Option<Percentiles>,
-    /// From setting a view to applying the first batch for it, over the views that lived to see it.
+    /// From setting a view to applying the first batch for it or for a later one, over views.
     pub view_to_first_op_ms: Option<Percentiles>,
     /// From setting a view to its being settled, over the views that lived to see it.
     pub view_to_settled_ms: Option<Percentiles>,

@@ -39,7 +39,7 @@ pub struct Counters {
     pub despawns: u64,
     /// Views set.
     pub views: u64,
-    /// Views for which a batch was applied while they were the newest.
+    /// Views after which a batch for them, or for a later one, was applied.
     pub views_served: u64,
     /// Views that settled while they were the newest.
     pub views_settled: u64,

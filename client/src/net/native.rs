@@ -191,15 +191,16 @@ impl Connection {
     /// [`NetError`], after everything that came before the end.
     pub async fn next(&mut self, until: Option<Timestamp>) -> Result<Event, NetError> {
         let wake = until.map(|until| self.start + until.0);
-        // Sending is tried first, and may find the socket stuck.
-        let waiting = async |wake: Option<Instant>| match wake {
-            Some(wake) => sleep_until(wake).await,
-            None => std::future::pending().await,
+        let waiting = async {
+            match wake {
+                Some(wake) => sleep_until(wake).await,
+                None => std::future::pending().await,
+            }
         };
         tokio::select! {
             biased;
             delivery = poll_fn(|cx| self.poll_delivery(cx)) => delivery.map(Event::Frame),
-            () = waiting(wake) => Ok(Event::Wake),
+            () = waiting => Ok(Event::Wake),
         }
     }
 
