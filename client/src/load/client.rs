@@ -291,8 +291,9 @@ impl<'a> Client<'a> {
             }
             return Ok(());
         }
-        // A recording may repeat a view, which is no new one and stays settled.
-        while let Some(step) = self.next_step(now) {
+        // A recording may repeat a view, which is no new one and stays settled. All may be the same: once round is enough.
+        for _ in 0..self.length() {
+            let Some(step) = self.next_step(now) else { break };
             self.step = step;
             if self.set_view(now)? {
                 break;
