@@ -96,6 +96,12 @@ fn figures_fit_together_and_repeat() {
     let (bytes, payload, frames) = (at("/all/bytes_in"), at("/all/payload_in"), at("/all/frames"));
     assert!(bytes >= payload + 2 * frames + 6 * 100, "{bytes} {payload} {frames}");
     assert!(bytes <= payload + 4 * frames + 6 * 500, "{bytes} {payload} {frames}");
+    assert!(at("/all/op_bytes") > 0 && at("/all/op_bytes") < payload);
+    let collapses = first.pointer("/single_kind_batches/collapses").expect("it is always there");
+    assert!(
+        collapses["ops"].as_u64() <= first["all"]["collapses"].as_u64()
+            && collapses["op_bytes"].as_u64() <= collapses["bytes"].as_u64()
+    );
     // Every view needs ops, and the way from one to the next both kinds.
     assert!(at("/moving/splits") > 1000 && at("/moving/collapses") > 1000 && at("/all/cached_splits") > 0);
     // What each client went through adds up to the same along the time.

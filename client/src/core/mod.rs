@@ -371,7 +371,7 @@ impl ClientSession {
         if self.batches_since_reset >= FORGIVING_BATCHES {
             self.resets_in_a_row = 0;
         }
-        self.stats.count(&counts);
+        self.stats.count(batch.ops.len(), &counts);
         // Ops after a settled state are on the way to another one, whichever view they were chosen for.
         self.unsettle();
         self.stats.error_px = Some(batch.lambda_px);

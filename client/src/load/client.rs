@@ -14,7 +14,7 @@ use lodestream_protocol::view::ViewError;
 use super::LoadOptions;
 use super::pace::Pace;
 use super::path::{Path, Pose, poses};
-use super::totals::{Counters, FIRST_INTERVAL, Interval, Phase, SingleKindBatches, Totals};
+use super::totals::{Counters, FIRST_INTERVAL, Interval, Phase, SingleKind, SingleKindBatches, Totals};
 use crate::camera::{Bounds, Camera};
 use crate::core::{ClientConfig, ClientError, ClientSession, Stats};
 use crate::net::native::{Connection, Delivery, Event, NetError};
@@ -224,6 +224,7 @@ impl<'a> Client<'a> {
 
     fn count_ops(&mut self, before: &Stats, after: &Stats, bytes: u64) {
         let batches = after.batches - before.batches;
+        let op_bytes = after.op_bytes - before.op_bytes;
         let splits = after.splits - before.splits;
         let cached = after.cached_splits - before.cached_splits;
         let collapses = after.collapses - before.collapses;
@@ -231,15 +232,17 @@ impl<'a> Client<'a> {
         let despawns = after.despawns - before.despawns;
         self.counters.frames += after.frames - before.frames;
         self.counters.batches += batches;
+        self.counters.op_bytes += op_bytes;
         self.counters.splits += splits;
         self.counters.cached_splits += cached;
         self.counters.collapses += collapses;
         self.counters.spawns += spawns;
         self.counters.despawns += despawns;
+        let batch = |ops| SingleKind::new(batches, ops, op_bytes, bytes);
         match (splits - cached, cached, collapses, spawns + despawns) {
-            (ops @ 1.., 0, 0, 0) => self.single_kind.fresh_splits.add(batches, ops, bytes),
-            (0, ops @ 1.., 0, 0) => self.single_kind.cached_splits.add(batches, ops, bytes),
-            (0, 0, ops @ 1.., 0) => self.single_kind.collapses.add(batches, ops, bytes),
+            (ops @ 1.., 0, 0, 0) => self.single_kind.fresh_splits.add(&batch(ops)),
+            (0, ops @ 1.., 0, 0) => self.single_kind.cached_splits.add(&batch(ops)),
+            (0, 0, ops @ 1.., 0) => self.single_kind.collapses.add(&batch(ops)),
             _ => {}
         }
     }

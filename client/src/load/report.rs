@@ -76,6 +76,8 @@ pub struct Part {
     pub bits_per_split: Option<f64>,
     /// Everything received, in bits, for each op of any kind.
     pub bits_per_op: Option<f64>,
+    /// Coded ops alone, in bits, for each op of any kind.
+    pub coded_bits_per_op: Option<f64>,
     /// Splits for each second of processor time in the core. The collapses among them cost time too.
     pub splits_per_core_cpu_s: Option<f64>,
     /// Ops for each such second.
@@ -89,6 +91,7 @@ impl Part {
         Self {
             bits_per_split: ratio(bits, counters.splits as f64),
             bits_per_op: ratio(bits, counters.ops() as f64),
+            coded_bits_per_op: ratio(counters.op_bytes as f64 * 8.0, counters.ops() as f64),
             splits_per_core_cpu_s: ratio(counters.splits as f64, cpu),
             ops_per_core_cpu_s: ratio(counters.ops() as f64, cpu),
             counters,
@@ -316,6 +319,7 @@ impl fmt::Display for Report {
         row("  served", &|part| part.counters.views_served.to_string())?;
         row("  settled", &|part| part.counters.views_settled.to_string())?;
         row("batches", &|part| part.counters.batches.to_string())?;
+        row("  bytes of coded ops", &|part| part.counters.op_bytes.to_string())?;
         row("splits", &|part| part.counters.splits.to_string())?;
         row("  cached", &|part| part.counters.cached_splits.to_string())?;
         row("collapses", &|part| part.counters.collapses.to_string())?;
@@ -324,15 +328,19 @@ impl fmt::Display for Report {
         let number = |value: Option<f64>, digits: usize| value.map_or("-".into(), |value| format!("{value:.digits$}"));
         row("bits per split, all in", &|part| number(part.bits_per_split, 2))?;
         row("bits per op, all in", &|part| number(part.bits_per_op, 2))?;
+        row("bits per op, coded", &|part| number(part.coded_bits_per_op, 2))?;
         row("core, k splits per cpu s", &|part| number(part.splits_per_core_cpu_s.map(|rate| rate / 1e3), 0))?;
         row("core, k ops per cpu s", &|part| number(part.ops_per_core_cpu_s.map(|rate| rate / 1e3), 0))?;
         writeln!(f)?;
         let SingleKindBatches { fresh_splits, cached_splits, collapses } = &self.single_kind_batches;
         for (name, kind) in [("fresh splits", fresh_splits), ("cached splits", cached_splits), ("collapses", collapses)]
         {
-            if let Some(bits) = kind.bits_per_op {
+            if let Some((coded, received)) = kind.bits_per_op.zip(kind.bits_per_op_received) {
                 let SingleKind { batches, ops, .. } = kind;
-                writeln!(f, "{bits:.2} bits per op in {batches} batches of {ops} {name} and nothing else")?;
+                writeln!(
+                    f,
+                    "{coded:.2} bits per op, {received:.2} with headers, in {batches} batches of {ops} {name} and nothing else"
+                )?;
             }
         }
         let limit = self.options.triangle_limit;

@@ -27,6 +27,8 @@ pub struct Counters {
     pub frames: u64,
     /// Batches applied.
     pub batches: u64,
+    /// Bytes of their coded ops: what is left of `bytes_in` are the base mesh and headers.
+    pub op_bytes: u64,
     /// Vertex splits, cached ones included.
     pub splits: u64,
     /// Splits that came from the mirrored cache.
@@ -60,6 +62,7 @@ impl Counters {
             payload_in,
             frames,
             batches,
+            op_bytes,
             splits,
             cached_splits,
             collapses,
@@ -75,6 +78,7 @@ impl Counters {
         self.payload_in += payload_in;
         self.frames += frames;
         self.batches += batches;
+        self.op_bytes += op_bytes;
         self.splits += splits;
         self.cached_splits += cached_splits;
         self.collapses += collapses;
@@ -108,22 +112,25 @@ pub struct SingleKind {
     pub batches: u64,
     /// Their ops.
     pub ops: u64,
-    /// Their bytes, with the headers of batch and frame.
+    /// Bytes of their coded ops.
+    pub op_bytes: u64,
+    /// The same with the headers of batch and frame.
     pub bytes: u64,
-    /// Bits for an op.
+    /// Coded bits for an op.
     pub bits_per_op: Option<f64>,
+    /// Bits for an op with its share of the headers.
+    pub bits_per_op_received: Option<f64>,
 }
 
 impl SingleKind {
-    pub(super) fn add(&mut self, batches: u64, ops: u64, bytes: u64) {
-        self.batches += batches;
-        self.ops += ops;
-        self.bytes += bytes;
-        self.bits_per_op = (self.ops > 0).then(|| self.bytes as f64 * 8.0 / self.ops as f64);
+    pub(super) fn new(batches: u64, ops: u64, op_bytes: u64, bytes: u64) -> Self {
+        let bits = |bytes: u64| (ops > 0).then(|| bytes as f64 * 8.0 / ops as f64);
+        Self { batches, ops, op_bytes, bytes, bits_per_op: bits(op_bytes), bits_per_op_received: bits(bytes) }
     }
 
-    fn merge(&mut self, other: &Self) {
-        self.add(other.batches, other.ops, other.bytes);
+    pub(super) fn add(&mut self, other: &Self) {
+        let Self { batches, ops, op_bytes, bytes, .. } = *other;
+        *self = Self::new(self.batches + batches, self.ops + ops, self.op_bytes + op_bytes, self.bytes + bytes);
     }
 }
 
@@ -140,9 +147,9 @@ pub struct SingleKindBatches {
 
 impl SingleKindBatches {
     pub(super) fn merge(&mut self, other: &Self) {
-        self.fresh_splits.merge(&other.fresh_splits);
-        self.cached_splits.merge(&other.cached_splits);
-        self.collapses.merge(&other.collapses);
+        self.fresh_splits.add(&other.fresh_splits);
+        self.cached_splits.add(&other.cached_splits);
+        self.collapses.add(&other.collapses);
     }
 }
 
