@@ -9,3 +9,4 @@ pub mod raster;
 pub mod screen_error;
 pub mod server_process;
 pub mod sim;
+pub mod traces;

@@ -5,60 +5,92 @@
 
 use std::collections::BTreeSet;
 
+use super::cut::{CutModels, Ranking};
+use super::fixed::lg;
 use super::geometry::GeometryModels;
+use super::local::Ring;
+use super::observe::{BatchTrace, Breakdown, Note, Observed, Part};
 use super::patch::{PatchModels, fits};
-use super::range_coder::{BitCoder, Decoder, Encoder, NumberModel, Prob};
+use super::range_coder::{BitCoder, Contexts, Decoder, Encoder, NumberModel, Prob, ScaledSet, Source, contexts};
+use super::trained::{TRAINED, Trained};
 use crate::cache::SplitCache;
 use crate::ids::VertexSlot;
 use crate::limits::MAX_OPS_PER_BATCH;
 use crate::mesh::{ApplyError, Cut, Fan, NewVertex, Patch, PatchError, Replica, SlotSet};
 
-/// Contexts of gaps by expected gap (bit length of candidates per member).
-const GAP_CLASSES: usize = 16;
+/// Contexts of gaps by how the gap before it was against what was expected.
+const GAP_CLASSES: usize = 4;
 
 /// Everything that an op changes and that both ends hold alike: mesh, op cache, coder contexts.
 #[derive(Clone, Debug)]
 pub struct OpState {
     replica: Replica,
     cache: SplitCache,
-    models: Models,
+    models: Box<Models>,
+    trained: &'static Trained,
     lattice_bits: u8,
     has_colors: bool,
     has_moves: bool,
     fan: Fan,
+    ring: Ring,
+    ranking: Ranking,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Models {
     forget: Prob,
     count: [NumberModel; 3],
-    collapse_gap: Vec<NumberModel>,
-    split_gap: Vec<NumberModel>,
+    collapse_gap: Gaps,
+    split_gap: Gaps,
     spawn_gap: NumberModel,
     /// By whether this is round 2 or later.
     collapse_flag: [Prob; 2],
     /// By the roles that the candidate had, whether its next split is cached, whether this is round 2 or later.
     split_flag: [[[Prob; 2]; 2]; 16],
-    same_cut: [Prob; 2],
+    same_cut: Prob,
+    cut: CutModels,
     geometry: GeometryModels,
     patch: PatchModels,
 }
 
+contexts!(Models: forget, count, collapse_gap, split_gap, spawn_gap, collapse_flag, split_flag, same_cut, cut, geometry);
+
 impl Models {
-    fn new() -> Self {
-        Self {
+    fn new(trained: &Trained) -> Self {
+        let mut models = Self {
             forget: Prob::HALF,
-            count: [NumberModel::NEW, NumberModel::NEW, NumberModel::NEW],
-            collapse_gap: vec![NumberModel::NEW; GAP_CLASSES],
-            split_gap: vec![NumberModel::NEW; GAP_CLASSES],
+            count: [NumberModel::NEW; 3],
+            collapse_gap: Gaps::NEW,
+            split_gap: Gaps::NEW,
             spawn_gap: NumberModel::NEW,
             collapse_flag: [Prob::HALF; 2],
             split_flag: [[[Prob::HALF; 2]; 2]; 16],
-            same_cut: [Prob::HALF; 2],
-            geometry: GeometryModels::new(),
+            same_cut: Prob::HALF,
+            cut: CutModels::NEW,
+            geometry: GeometryModels::NEW,
             patch: PatchModels::new(),
-        }
+        };
+        let mut priors = trained.priors.iter();
+        models.for_each(&mut |context| {
+            if let Some(&prior) = priors.next() {
+                *context = Prob::at(prior);
+            }
+        });
+        models
     }
+}
+
+/// Adaptive contexts of the gaps between members of a set.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Gaps {
+    by_last: [ScaledSet; GAP_CLASSES],
+    escape: NumberModel,
+}
+
+contexts!(Gaps: by_last, escape);
+
+impl Gaps {
+    const NEW: Self = Self { by_last: [ScaledSet::NEW; GAP_CLASSES], escape: NumberModel::NEW };
 }
 
 /// What a batch did.
@@ -120,14 +152,32 @@ impl OpState {
         has_moves: bool,
         cache_capacity: u32,
     ) -> Result<Self, PatchError> {
+        Self::with_trained(&TRAINED, base, lattice_bits, has_colors, has_moves, cache_capacity)
+    }
+
+    /// As [`new`](Self::new) with other numbers than those that both ends are built with: for training.
+    ///
+    /// # Errors
+    /// [`PatchError`] if the base is no manifold.
+    pub fn with_trained(
+        trained: &'static Trained,
+        base: &Patch,
+        lattice_bits: u8,
+        has_colors: bool,
+        has_moves: bool,
+        cache_capacity: u32,
+    ) -> Result<Self, PatchError> {
         Ok(Self {
             replica: Replica::new(base)?,
             cache: SplitCache::new(cache_capacity),
-            models: Models::new(),
+            models: Box::new(Models::new(trained)),
+            trained,
             lattice_bits,
             has_colors,
             has_moves,
             fan: Fan::default(),
+            ring: Ring::default(),
+            ranking: Ranking::default(),
         })
     }
 
@@ -146,10 +196,15 @@ impl OpState {
         &self.cache
     }
 
+    /// Calls `visit` with each context of the coder, in the order of [`Trained::priors`].
+    #[cfg(any(test, feature = "testing"))]
+    pub(super) fn for_each_context(&mut self, visit: &mut dyn FnMut(&mut Prob)) {
+        self.models.for_each(visit);
+    }
+
     /// Bytes of memory held, for accounting.
     pub fn heap_bytes(&self) -> usize {
-        let number = size_of::<NumberModel>();
-        self.replica.heap_bytes() + self.cache.heap_bytes() + 2 * GAP_CLASSES * number + 60 * number
+        self.replica.heap_bytes() + self.cache.heap_bytes() + size_of::<Models>()
     }
 }
 
@@ -172,9 +227,11 @@ const ROLE_RIGHT: u8 = 8;
 
 impl<'a, C: BitCoder> Rounds<'a, C> {
     fn new(state: &'a mut OpState, mut coder: C, forget_cuts: bool) -> Self {
-        if coder.bit(&mut state.models.forget, forget_cuts) {
+        let forgets_cuts = coder.bit(&mut state.models.forget, forget_cuts);
+        if forgets_cuts {
             state.cache.forget_cuts();
         }
+        coder.note(Note::Batch { forgets_cuts });
         let counts = OpCounts { max_triangles: state.replica.triangle_count(), ..OpCounts::default() };
         Self { state, coder, counts, round: 0, candidates: Vec::new(), released: Vec::new() }
     }
@@ -190,13 +247,19 @@ impl<'a, C: BitCoder> Rounds<'a, C> {
         let models = &mut self.state.models;
         if self.round == 1 {
             let set = self.state.replica.collapsible();
-            return code_gaps(&mut self.coder, &mut models.count[0], &mut models.collapse_gap, set, chosen);
+            let (count, gaps) = (&mut models.count[0], &mut models.collapse_gap);
+            let chosen = code_gaps(&mut self.coder, count, gaps, set, chosen, |_| Part::Collapse)?;
+            self.coder.note(Note::Collapses(&chosen));
+            return Ok(chosen);
         }
         let flag = &mut models.collapse_flag[usize::from(self.round > 2)];
         let coder = &mut self.coder;
         let mut chosen = chosen.iter().copied().peekable();
         let is_chosen = |&(slot, _): &(u32, u8)| coder.bit(flag, chosen.next_if_eq(&slot).is_some());
-        Ok(self.candidates.iter().copied().filter(is_chosen).map(|(slot, _)| slot).collect())
+        let chosen: Vec<u32> = self.candidates.iter().copied().filter(is_chosen).map(|(slot, _)| slot).collect();
+        self.coder.note(Note::Spent(Part::Collapse));
+        self.coder.note(Note::Collapses(&chosen));
+        Ok(chosen)
     }
 
     /// Applies a round of collapses and lists the candidates of the next.
@@ -223,7 +286,9 @@ impl<'a, C: BitCoder> Rounds<'a, C> {
 
     /// Codes how many spawns follow.
     fn spawn_count(&mut self, count: u32) -> u32 {
-        self.state.models.count[1].code(&mut self.coder, count)
+        let count = self.state.models.count[1].code(&mut self.coder, count);
+        self.coder.note(Note::Spent(Part::Control));
+        count
     }
 
     /// Codes and applies a spawn; ids ascend within a batch, `after` is the one before.
@@ -245,6 +310,8 @@ impl<'a, C: BitCoder> Rounds<'a, C> {
             .patch
             .code(&mut self.coder, state.lattice_bits, state.has_colors, patch, may_hold)
             .map_err(|_| DecodeError::Malformed)?;
+        self.coder.note(Note::Spent(Part::Spawn));
+        self.coder.note(Note::Spawn(id, &patch));
         self.check_limit(patch.faces.len() as u32, limit)?;
         let slot = self.state.replica.spawn(id, &patch)?;
         self.counts.spawns += 1;
@@ -259,16 +326,24 @@ impl<'a, C: BitCoder> Rounds<'a, C> {
         let models = &mut self.state.models;
         if self.round == 1 {
             let set = self.state.replica.vertices();
-            return code_gaps(&mut self.coder, &mut models.count[2], &mut models.split_gap, set, chosen);
+            let cache = &self.state.cache;
+            let part = |slot| if cache.top(VertexSlot(slot)).is_some() { Part::Cached } else { Part::Address };
+            let (count, gaps) = (&mut models.count[2], &mut models.split_gap);
+            let chosen = code_gaps(&mut self.coder, count, gaps, set, chosen, part)?;
+            self.coder.note(Note::SplitRound);
+            return Ok(chosen);
         }
         let (coder, cache, late) = (&mut self.coder, &self.state.cache, usize::from(self.round > 2));
         let mut chosen = chosen.iter().copied().peekable();
         let is_chosen = |&(slot, roles): &(u32, u8)| {
             let cached = usize::from(cache.top(VertexSlot(slot)).is_some());
             let flag = &mut models.split_flag[usize::from(roles)][cached][late];
-            coder.bit(flag, chosen.next_if_eq(&slot).is_some())
+            let is_chosen = coder.bit(flag, chosen.next_if_eq(&slot).is_some());
+            coder.note(Note::Spent(if cached == 1 { Part::Cached } else { Part::Address }));
+            is_chosen
         };
         let members = self.candidates.iter().copied().filter(is_chosen).map(|(slot, _)| slot).collect();
+        self.coder.note(Note::SplitRound);
         self.candidates.clear();
         Ok(members)
     }
@@ -280,27 +355,34 @@ impl<'a, C: BitCoder> Rounds<'a, C> {
         limit: u32,
         resolve: impl FnOnce(&Replica, &Fan) -> Option<(Cut, NewVertex)>,
     ) -> Result<VertexSlot, DecodeError> {
-        let OpState { replica, cache, models, has_colors, has_moves, fan, .. } = &mut *self.state;
+        let OpState { replica, cache, models, trained, has_colors, has_moves, fan, ring, ranking, .. } =
+            &mut *self.state;
+        let models = &mut **models;
         replica.fan(VertexSlot(s), fan)?;
         let (cut, vertex) = resolve(replica, fan).ok_or(DecodeError::Malformed)?;
         let (cut, vertex, is_cached) = match cache.top(VertexSlot(s)) {
             Some(cached) => {
                 let guess = if cached.cut_known { guess_cut(fan, cached.left, cached.right) } else { None };
                 let cut = match guess {
-                    Some(guess) if self.coder.bit(&mut models.same_cut[0], cut == guess) => guess,
-                    _ => models.geometry.cut(&mut self.coder, fan, cut),
+                    Some(guess) if self.coder.bit(&mut models.same_cut, cut == guess) => guess,
+                    _ => {
+                        ring.read(s, fan, replica.positions());
+                        models.cut.code(&mut self.coder, &trained.cut, ranking, ring, fan, cut)
+                    }
                 };
+                self.coder.note(Note::Spent(Part::Cached));
                 (cut, cached.vertex, true)
             }
             None => {
-                let cut = models.geometry.cut(&mut self.coder, fan, cut);
+                ring.read(s, fan, replica.positions());
+                let cut = models.cut.code(&mut self.coder, &trained.cut, ranking, ring, fan, cut);
+                self.coder.note(Note::Spent(Part::Cut));
                 if !fan.admits(cut) {
                     return Err(ApplyError::BadCut { slot: s, faces: fan.faces(), cut }.into());
                 }
                 let colors = has_colors.then(|| replica.colors());
-                let positions = replica.positions();
-                let vertex =
-                    models.geometry.vertex(&mut self.coder, s, fan, cut, positions, colors, *has_moves, &vertex);
+                let geometry = &mut models.geometry;
+                let vertex = geometry.vertex(&mut self.coder, trained, s, fan, ring, cut, colors, *has_moves, &vertex);
                 (cut, vertex, false)
             }
         };
@@ -309,9 +391,12 @@ impl<'a, C: BitCoder> Rounds<'a, C> {
             _ => 1,
         };
         let max = (1 << self.state.lattice_bits) - 1;
-        if vertex.position.iter().any(|&x| x < 0 || x > max) {
+        let at_s = self.state.replica.positions()[s as usize];
+        let moved = (0..3).map(|k| at_s[k].wrapping_add(vertex.s_move[k]));
+        if vertex.position.into_iter().chain(moved).any(|x| x < 0 || x > max) {
             return Err(DecodeError::Malformed);
         }
+        self.coder.note(Note::Split(s, cut, &vertex));
         self.check_limit(added, limit)?;
         let OpState { replica, cache, fan, .. } = &mut *self.state;
         let t = replica.split(VertexSlot(s), fan, cut, &vertex)?;
@@ -364,11 +449,13 @@ impl<'a, C: BitCoder> Rounds<'a, C> {
 fn code_gaps(
     coder: &mut impl BitCoder,
     count: &mut NumberModel,
-    gaps: &mut [NumberModel],
+    gaps: &mut Gaps,
     set: &SlotSet,
     chosen: &[u32],
+    part: impl Fn(u32) -> Part,
 ) -> Result<Vec<u32>, DecodeError> {
     let count = count.code(coder, chosen.len() as u32);
+    coder.note(Note::Spent(Part::Control));
     if count > MAX_OPS_PER_BATCH {
         return Err(DecodeError::TooManyOps);
     }
@@ -378,15 +465,24 @@ fn code_gaps(
     let mut members = Vec::with_capacity(count as usize);
     let mut from = 0;
     let mut candidates = set.len();
+    // Members lie in clusters: the gaps before tell about the next one more than the mean does. In 1/16, decaying by 1/4.
+    let mut recent = u64::from(candidates) * 16 / u64::from(count).max(1);
     for i in 0..count {
-        let expected = candidates / (count - i);
-        let class = (32 - expected.leading_zeros() as usize).min(GAP_CLASSES - 1);
+        let expected = u64::from(candidates) * 16 / u64::from(count - i);
+        let class = match recent {
+            recent if recent * 8 < expected => 0,
+            recent if recent * 2 < expected => 1,
+            recent if recent < expected * 2 => 2,
+            _ => 3,
+        };
         let gap = chosen.get(i as usize).map_or(0, |&slot| set.count_between(from, slot));
-        let gap = gaps[class].code(coder, gap);
+        let gap = gaps.by_last[class].code(coder, &mut gaps.escape, lg(recent.max(1)) - 4 * 16, gap);
+        recent = (recent * 3 + u64::from(gap) * 16) / 4;
         if gap >= candidates {
             return Err(DecodeError::Malformed);
         }
         let slot = set.select_from(from, gap).ok_or(DecodeError::Malformed)?;
+        coder.note(Note::Spent(part(slot)));
         members.push(slot);
         from = slot + 1;
         candidates -= gap + 1;
@@ -560,8 +656,50 @@ impl<'a> BatchEncoder<'a> {
 /// # Errors
 /// [`DecodeError`]; the state is then of no use.
 pub fn decode_batch(bytes: &[u8], state: &mut OpState, limit: u32) -> Result<OpCounts, DecodeError> {
-    let mut rounds = Rounds::new(state, Decoder::new(bytes), false);
-    let check = |rounds: &Rounds<'_, Decoder<'_>>| match rounds.coder.is_overrun() {
+    decode(Decoder::new(bytes), bytes.len(), state, limit)
+}
+
+/// As [`decode_batch`], and adds to `breakdown` what the bits were spent on. Some 3 times slower.
+///
+/// # Errors
+/// [`DecodeError`]; the state is then of no use.
+pub fn decode_batch_measured(
+    bytes: &[u8],
+    state: &mut OpState,
+    limit: u32,
+    breakdown: &mut Breakdown,
+) -> Result<OpCounts, DecodeError> {
+    decode(Observed::new(Decoder::new(bytes), breakdown), bytes.len(), state, limit)
+}
+
+/// As [`decode_batch`], and says what the batch held.
+///
+/// # Errors
+/// [`DecodeError`]; the state is then of no use.
+pub fn decode_batch_traced(bytes: &[u8], state: &mut OpState, limit: u32) -> Result<BatchTrace, DecodeError> {
+    let mut trace = BatchTrace::default();
+    decode(Observed::new(Decoder::new(bytes), &mut trace), bytes.len(), state, limit)?;
+    Ok(trace)
+}
+
+/// As [`decode_batch`], and counts what the contexts saw.
+///
+/// # Errors
+/// [`DecodeError`]; the state is then of no use.
+#[cfg(any(test, feature = "testing"))]
+pub fn decode_batch_tallied(
+    bytes: &[u8],
+    state: &mut OpState,
+    limit: u32,
+    tally: &mut super::training::Tally,
+) -> Result<OpCounts, DecodeError> {
+    tally.attach(state);
+    decode(Observed::new(Decoder::new(bytes), tally), bytes.len(), state, limit)
+}
+
+fn decode<S: Source>(source: S, byte_count: usize, state: &mut OpState, limit: u32) -> Result<OpCounts, DecodeError> {
+    let mut rounds = Rounds::new(state, source, false);
+    let check = |rounds: &Rounds<'_, S>| match rounds.coder.is_overrun() {
         true => Err(DecodeError::Malformed),
         false => Ok(()),
     };
@@ -582,7 +720,7 @@ pub fn decode_batch(bytes: &[u8], state: &mut OpState, limit: u32) -> Result<OpC
     let lattice_bits = rounds.state.lattice_bits;
     for _ in 0..spawns {
         check(&rounds)?;
-        let may_hold = |_: &Decoder<'_>, v, f| fits(bytes.len(), lattice_bits, v, f);
+        let may_hold = |_: &S, v, f| fits(byte_count, lattice_bits, v, f);
         after = Some(rounds.spawn(after, 0, &Patch::default(), limit, may_hold)?.0);
     }
     loop {
@@ -604,6 +742,27 @@ pub fn decode_batch(bytes: &[u8], state: &mut OpState, limit: u32) -> Result<OpC
         return Err(DecodeError::Malformed);
     }
     Ok(rounds.counts)
+}
+
+/// Encodes the ops of `trace` while applying them.
+///
+/// # Errors
+/// As [`decode_batch`] would, if the trace does not fit the state.
+pub fn encode_trace(trace: &BatchTrace, state: &mut OpState, limit: u32) -> Result<(Vec<u8>, OpCounts), DecodeError> {
+    let mut encoder = BatchEncoder::new(state, trace.forgets_cuts);
+    for round in &trace.collapses {
+        encoder.collapse_round(round)?;
+    }
+    let spawns: Vec<(u32, &Patch)> = trace.spawns.iter().map(|(id, patch)| (*id, patch)).collect();
+    encoder.spawns(&spawns, limit)?;
+    for round in &trace.splits {
+        encoder.split_round(&round.iter().map(|split| split.0).collect::<Vec<_>>())?;
+        for &(s, cut, vertex) in round {
+            encoder.split(s, limit, |_, _| Some((cut, vertex)))?;
+        }
+        encoder.end_split_round();
+    }
+    Ok(encoder.finish())
 }
 
 #[cfg(test)]

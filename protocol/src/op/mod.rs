@@ -5,9 +5,27 @@
 //! `PROTOCOL.md` describes the layout.
 
 mod batch;
+mod color;
+mod cut;
+mod fixed;
 mod geometry;
+mod local;
+mod observe;
 mod patch;
 mod range_coder;
+mod trained;
+#[cfg(any(test, feature = "testing"))]
+pub mod training;
 
-pub use batch::{BatchEncoder, DecodeError, OpCounts, OpState, decode_batch};
+#[cfg(any(test, feature = "testing"))]
+pub use batch::decode_batch_tallied;
+
+pub use batch::{
+    BatchEncoder, DecodeError, OpCounts, OpState, decode_batch, decode_batch_measured, decode_batch_traced,
+    encode_trace,
+};
+pub use cut::CutFeatures;
+pub use geometry::{GeometryFeatures, SizeFeatures};
+pub use observe::{BatchTrace, Breakdown, Part};
 pub use patch::{PatchDecodeError, decode_base, encode_base};
+pub use trained::{CUT_SHAPES, CutWeights, SizeWeights, TRAINED, Trained};

@@ -1,6 +1,6 @@
 //! Coding of the base mesh and of spawned patches: complete small meshes.
 
-use super::range_coder::{BitCoder, Decoder, Encoder, NumberModel, raw_bits};
+use super::range_coder::{BitCoder, Decoder, Encoder, NumberModel, Source, raw_bits};
 use crate::limits::MAX_PATCH_ELEMENTS;
 use crate::mesh::Patch;
 use crate::quant::MAX_LATTICE_BITS;

@@ -3,6 +3,8 @@
 //! Both directions implement [`BitCoder`], so that a model is written once and cannot differ between the two ends: the
 //! encoder codes the bit it is given and returns it, the decoder ignores it and returns the one it finds.
 
+use super::observe::Note;
+
 /// Probability that the next bit is 0, as the mean of a fast and a slow estimate of 16 bits each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Prob {
@@ -10,17 +12,28 @@ pub(crate) struct Prob {
     slow: u16,
 }
 
-const FAST_SHIFT: u32 = 4;
-const SLOW_SHIFT: u32 = 7;
+const FAST_SHIFT: u32 = 5;
+const SLOW_SHIFT: u32 = 8;
 
 impl Prob {
     /// Even odds.
     pub(crate) const HALF: Self = Self { fast: 1 << 15, slow: 1 << 15 };
 
+    /// Where both estimates are `zero / 2^16`.
+    pub(crate) const fn at(zero: u16) -> Self {
+        Self { fast: zero, slow: zero }
+    }
+
     /// In `1 ..= 65535`.
     #[inline]
     fn zero(self) -> u32 {
         ((u32::from(self.fast) + u32::from(self.slow)) >> 1).clamp(32, 65_536 - 32)
+    }
+
+    /// Code length of `bit`, in bits.
+    pub(crate) fn cost(self, bit: bool) -> f64 {
+        let zero = f64::from(self.zero()) / 65_536.0;
+        -(if bit { 1.0 - zero } else { zero }).log2()
     }
 
     #[inline]
@@ -42,6 +55,19 @@ pub(crate) trait BitCoder {
 
     /// Codes the low `count` (at most 16) bits of `value` at even odds, highest first.
     fn raw(&mut self, value: u32, count: u32) -> u32;
+
+    /// Tells what the models do; for observers.
+    #[inline]
+    fn note(&mut self, _: Note<'_>) {}
+}
+
+/// A coder that reads.
+pub(crate) trait Source: BitCoder {
+    /// Whether more was read than an encoder can have written.
+    fn is_overrun(&self) -> bool;
+
+    /// Whether bytes are left that an encoder would not have written.
+    fn has_trailing(&self) -> bool;
 }
 
 /// Collects bytes.
@@ -173,15 +199,15 @@ impl<'a> Decoder<'a> {
             self.code = self.code << 8 | u32::from(self.next());
         }
     }
+}
 
-    /// Whether more was read than an encoder can have written.
+impl Source for Decoder<'_> {
     #[inline]
-    pub(crate) fn is_overrun(&self) -> bool {
+    fn is_overrun(&self) -> bool {
         self.at > self.bytes.len() + MAX_OVERRUN
     }
 
-    /// Whether bytes are left that an encoder would not have written.
-    pub(crate) fn has_trailing(&self) -> bool {
+    fn has_trailing(&self) -> bool {
         self.at < self.bytes.len()
     }
 }
@@ -213,7 +239,7 @@ impl BitCoder for Decoder<'_> {
 }
 
 /// A number as its bit length (unary, adaptive), its next bits (adaptive) and the rest (raw): adaptive Exp-Golomb.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct NumberModel {
     length: [Prob; 33],
     /// By length (capped) and the bits below the leading one that were coded so far.
@@ -249,8 +275,8 @@ impl NumberModel {
     }
 }
 
-/// A number below `2^BITS` as a binary tree of adaptive bits.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// A number below `NODES` as a binary tree of adaptive bits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct TreeModel<const NODES: usize> {
     nodes: [Prob; NODES],
 }
@@ -268,6 +294,145 @@ impl<const NODES: usize> TreeModel<NODES> {
         (node - NODES) as u32
     }
 }
+
+/// A number whose size is known beforehand: divided by a power of two that the caller takes from what it expects, the
+/// quotient by its bit length (a tree) and its next bits (adaptive), then the rest raw.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct ScaledModel {
+    length: TreeModel<8>,
+    /// By bit length and the bits below the leading one that were coded so far.
+    mantissa: [[Prob; 3]; 6],
+}
+
+/// Least quotient that a [`ScaledModel`] escapes with.
+const ESCAPE: u32 = 127;
+
+impl ScaledModel {
+    pub(crate) const NEW: Self = Self { length: TreeModel::NEW, mantissa: [[Prob::HALF; 3]; 6] };
+
+    /// Codes what is adaptive of `value`; returns the least value that goes on like this and how many raw bits are to be
+    /// added.
+    #[inline]
+    fn head(&mut self, coder: &mut impl BitCoder, escape: &mut NumberModel, shift: u32, value: u32) -> (u32, u32) {
+        let quotient = value >> shift;
+        let plus_one = quotient.wrapping_add(1);
+        let length = self.length.code(coder, (31 - (plus_one | 1).leading_zeros()).min(7));
+        if length == 7 {
+            let quotient = escape.code(coder, quotient.wrapping_sub(ESCAPE)).wrapping_add(ESCAPE);
+            return (quotient << shift, shift);
+        }
+        let mut coded = 1;
+        let mut left = length;
+        while left > 0 && coded < 4 {
+            left -= 1;
+            let context = &mut self.mantissa[length as usize - 1][coded as usize - 1];
+            coded = coded << 1 | u32::from(coder.bit(context, plus_one >> left & 1 == 1));
+        }
+        ((coded << (left + shift)) - (1 << shift), left + shift)
+    }
+
+    /// Codes `value`, at most `2^31`, in units of `2^shift`, at most `2^20`; `escape` serves what is far larger than expected.
+    pub(crate) fn code(&mut self, coder: &mut impl BitCoder, escape: &mut NumberModel, shift: u32, value: u32) -> u32 {
+        let (base, rest) = self.head(coder, escape, shift, value);
+        base.wrapping_add(raw_bits(coder, value.wrapping_sub(base) & ((1 << rest) - 1), rest))
+    }
+
+    /// Codes a signed number likewise.
+    pub(crate) fn signed(
+        &mut self,
+        coder: &mut impl BitCoder,
+        escape: &mut NumberModel,
+        shift: u32,
+        value: i32,
+    ) -> i32 {
+        let magnitude = value.unsigned_abs();
+        let (base, rest) = self.head(coder, escape, shift, magnitude);
+        let low = magnitude.wrapping_sub(base) & ((1 << rest) - 1);
+        let negative = u32::from(value < 0);
+        let (magnitude, negative) = if base > 0 {
+            let both = raw_bits(coder, low << 1 | negative, rest + 1);
+            (base.wrapping_add(both >> 1), both & 1)
+        } else {
+            let magnitude = raw_bits(coder, low, rest);
+            (magnitude, if magnitude > 0 { coder.raw(negative, 1) } else { 0 })
+        };
+        if negative == 1 { (magnitude as i32).wrapping_neg() } else { magnitude as i32 }
+    }
+}
+
+/// Classes of expected size that a [`ScaledSet`] tells apart: half octaves up to 8, then two by where it lies in its octave.
+pub(crate) const SIZES: usize = 10;
+
+/// One [`ScaledModel`] for each class of expected size.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct ScaledSet {
+    by_size: [ScaledModel; SIZES],
+}
+
+impl ScaledSet {
+    pub(crate) const NEW: Self = Self { by_size: [ScaledModel::NEW; SIZES] };
+
+    /// The model and its unit for numbers of an expected size of `2^(size / 16)`.
+    fn pick(&mut self, size: i32) -> (&mut ScaledModel, u32) {
+        let half_octaves = (size.clamp(-16, 24 * 16) + 16) / 8;
+        if half_octaves < 8 {
+            return (&mut self.by_size[half_octaves as usize], 0);
+        }
+        (&mut self.by_size[8 + (half_octaves & 1) as usize], half_octaves as u32 / 2 - 4)
+    }
+
+    /// Codes a number.
+    pub(crate) fn code(&mut self, coder: &mut impl BitCoder, escape: &mut NumberModel, size: i32, value: u32) -> u32 {
+        let (model, shift) = self.pick(size);
+        model.code(coder, escape, shift, value)
+    }
+
+    /// Codes a signed number.
+    pub(crate) fn signed(&mut self, coder: &mut impl BitCoder, escape: &mut NumberModel, size: i32, value: i32) -> i32 {
+        let (model, shift) = self.pick(size);
+        model.signed(coder, escape, shift, value)
+    }
+}
+
+/// Everything that holds contexts can name them, always in the same order.
+pub(crate) trait Contexts {
+    /// Calls `visit` with each context.
+    fn for_each(&mut self, visit: &mut dyn FnMut(&mut Prob));
+}
+
+impl Contexts for Prob {
+    fn for_each(&mut self, visit: &mut dyn FnMut(&mut Prob)) {
+        visit(self);
+    }
+}
+
+impl<T: Contexts, const N: usize> Contexts for [T; N] {
+    fn for_each(&mut self, visit: &mut dyn FnMut(&mut Prob)) {
+        self.iter_mut().for_each(|each| each.for_each(visit));
+    }
+}
+
+impl<const NODES: usize> Contexts for TreeModel<NODES> {
+    fn for_each(&mut self, visit: &mut dyn FnMut(&mut Prob)) {
+        self.nodes.for_each(visit);
+    }
+}
+
+/// Names the contexts of a struct field by field.
+macro_rules! contexts {
+    ($name:ident: $($field:ident),+) => {
+        impl $crate::op::range_coder::Contexts for $name {
+            fn for_each(&mut self, visit: &mut dyn FnMut(&mut $crate::op::range_coder::Prob)) {
+                $($crate::op::range_coder::Contexts::for_each(&mut self.$field, visit);)+
+            }
+        }
+    };
+}
+pub(crate) use contexts;
+
+contexts!(NumberModel: length, mantissa);
+contexts!(ScaledModel: length, mantissa);
+contexts!(ScaledSet: by_size);
 
 /// Codes `value < count` with nearly equal odds; `count` is at least 1. A decoder may return a value up to the next power
 /// of two: callers check.

@@ -12,6 +12,7 @@
 //! and encodes, `pacer` says how much may be on its way.
 
 mod mirror;
+mod order;
 mod pacer;
 pub mod score;
 mod select;
@@ -422,8 +423,7 @@ impl Work {
                 }
             }
         }
-        let mut pending = selection.ops;
-        pending.retain(|&op| !mirror.is_applied(op));
+        let pending = order::sending_order(model, &selection, |op| mirror.is_applied(op))?;
         Ok(Self {
             pending,
             next: 0,

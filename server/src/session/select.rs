@@ -25,6 +25,9 @@ use crate::pack::{PAGE_OPS, PackError, PackedModel, PageId};
 /// size, and 8 KB of names.
 pub(crate) const MAX_MISSING: usize = 1024;
 
+/// Ratio of priorities within a band.
+const BAND_RATIO: f32 = 2.0;
+
 /// Pages of spawns that are asked for at once when the next one is missing.
 const SPAWN_PAGES_AHEAD: u32 = 16;
 
@@ -57,6 +60,8 @@ impl std::hash::Hasher for OpHasher {
 pub(crate) struct Selection {
     /// P*, parents before children, in order of priority.
     pub(crate) ops: Vec<u32>,
+    /// Where `ops` has come down by another [`BAND_RATIO`] of priority, ascending.
+    pub(crate) band_ends: Vec<usize>,
     /// The same as a set.
     pub(crate) set: OpSet,
     /// Triangles of the mesh built from it.
@@ -132,6 +137,7 @@ pub(crate) fn select(
     let mut closure = Closure::default();
     // How much was selected when the first page was missing, and its triangles: all that is certain to come first.
     let mut certain = None;
+    let mut band_top = f32::INFINITY;
     loop {
         walk.offer_spawns(limit)?;
         if certain.is_none() && !walk.pages.missing.is_empty() {
@@ -139,6 +145,10 @@ pub(crate) fn select(
         }
         let Some(key) = walk.heap.pop() else { break };
         let (priority, op) = unpack(key);
+        if priority * BAND_RATIO < band_top {
+            band_top = priority;
+            walk.out.band_ends.push(walk.out.ops.len());
+        }
         if !walk.out.set.contains(&op) {
             match walk.take(op, limit, &mut closure)? {
                 Fit::All => {}

@@ -14,7 +14,8 @@ fn random_moving_vertex(rng: &mut OperationRng, replica: &Replica, s: u32) -> Ne
         }),
         _ => other.position,
     };
-    vertex.s_move = std::array::from_fn(|k| moved[k] - before[k]);
+    let is_on_lattice = moved.iter().all(|x| (0..4096).contains(x));
+    vertex.s_move = if is_on_lattice { std::array::from_fn(|k| moved[k] - before[k]) } else { [0; 3] };
     if rng.one_in(2) {
         vertex.s_color_move = other.color;
     }

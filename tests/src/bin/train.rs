@@ -1,0 +1,409 @@
+//! Learns the numbers of the op codec (`protocol/src/op/trained`): `train FILE... [--apart]`, best in release.
+//!
+//! Sessions over the meshes and over generated ones give samples. Weights of the predicted position and of the expected sizes
+//! are least squares, the score of cuts is a softmax fitted by gradient descent, the start of each context is how often
+//! it saw a 0 over all sessions, each counting for at most [`SESSION_SPLITS`] splits. The table is written to standard output;
+//! with `--apart`, what each mesh costs with numbers learnt without it, and with even odds, is printed instead.
+
+use std::cell::RefCell;
+use std::fmt::Write as _;
+use std::path::Path as FilePath;
+
+use anyhow::Context as _;
+use lodestream_protocol::op::training::{CutSample, Sample, Tally};
+use lodestream_protocol::op::{
+    BatchEncoder, BatchTrace, CUT_SHAPES, CutWeights, OpState, SizeWeights, TRAINED, Trained, decode_batch_tallied,
+    encode_trace,
+};
+use lodestream_protocol::view::UNLIMITED_TRIANGLES;
+use lodestream_server::ingest::read::read_mesh_in_memory;
+use lodestream_server::ingest::simplify::{BuildOptions, PlacementChoice};
+use lodestream_server::mesh::TriMesh;
+use lodestream_tests::meshes::{colored_sphere, debris, grid_with_holes, noisy_sphere, torus};
+use lodestream_tests::model::TestModel;
+use lodestream_tests::traces::{Path, SessionTrace};
+
+/// Splits from which a session counts no more than another.
+const SESSION_SPLITS: f64 = 20_000.0;
+/// Most samples taken of a session.
+const SESSION_SAMPLES: usize = 12_000;
+
+fn main() -> anyhow::Result<()> {
+    let (flags, files): (Vec<String>, Vec<String>) = std::env::args().skip(1).partition(|arg| arg.starts_with("--"));
+    let mut subjects = Vec::new();
+    for file in &files {
+        let (mesh, _) = read_mesh_in_memory(FilePath::new(file))?;
+        let name = FilePath::new(file).file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+        subjects.push(Subject::new(name, mesh)?);
+    }
+    for (name, mesh) in generated() {
+        subjects.push(Subject::new(name.into(), mesh)?);
+    }
+    if flags.iter().any(|flag| flag == "--apart") {
+        for i in 0..files.len() {
+            let others: Vec<&Subject> = (0..subjects.len()).filter(|&j| j != i).map(|j| &subjects[j]).collect();
+            let apart: &'static Trained = Box::leak(Box::new(train(&others)?));
+            let even: &'static Trained = Box::leak(Box::new(Trained { priors: &[], ..apart.clone() }));
+            for session in &subjects[i].sessions {
+                let bits = |trained| {
+                    Ok::<_, anyhow::Error>(session.encode(trained, None)? as f64 * 8.0 / session.splits as f64)
+                };
+                let (shipped, apart, even) = (bits(&TRAINED)?, bits(apart)?, bits(even)?);
+                println!(
+                    "{:16} {:9} {:8} splits: {even:.2} bits with even odds, {apart:.2} trained without it, {shipped:.2} as shipped",
+                    subjects[i].name, session.path, session.splits
+                );
+            }
+        }
+        return Ok(());
+    }
+    let all: Vec<&Subject> = subjects.iter().collect();
+    print!("{}", table(&train(&all)?));
+    Ok(())
+}
+
+/// Meshes that anyone can train on.
+fn generated() -> Vec<(&'static str, TriMesh)> {
+    vec![
+        ("noisy sphere", noisy_sphere(40_000, 3)),
+        ("colored sphere", colored_sphere(5)),
+        ("torus", torus(120, 60)),
+        ("grid with holes", grid_with_holes(3, 60)),
+        ("debris", debris(600, 5)),
+    ]
+}
+
+/// A mesh and sessions over it.
+struct Subject {
+    name: String,
+    sessions: Vec<Session>,
+}
+
+struct Session {
+    path: String,
+    trace: SessionTrace,
+    ops: Vec<(BatchTrace, u32)>,
+    splits: u64,
+    samples: Vec<(Sample, [i32; 3], [i32; 3])>,
+}
+
+impl Subject {
+    fn new(name: String, mesh: TriMesh) -> anyhow::Result<Self> {
+        let mut sessions = Vec::new();
+        let exact = TestModel::with_options(mesh.clone(), &BuildOptions { bits: Some(14), ..BuildOptions::default() });
+        for path in Path::ALL {
+            let limit = if path == Path::Jump { 100_000 } else { UNLIMITED_TRIANGLES };
+            sessions.push(Session::new(path.name().into(), SessionTrace::record(&exact, path, limit))?);
+        }
+        let coarse = TestModel::with_options(mesh.clone(), &BuildOptions { bits: Some(11), ..BuildOptions::default() });
+        sessions
+            .push(Session::new("11 bits".into(), SessionTrace::record(&coarse, Path::Complete, UNLIMITED_TRIANGLES))?);
+        for placement in [PlacementChoice::Optimal, PlacementChoice::Subset] {
+            if mesh.faces.len() < 200_000 {
+                let moving = TestModel::with_options(
+                    mesh.clone(),
+                    &BuildOptions { bits: Some(14), placement, ..BuildOptions::default() },
+                );
+                let trace = SessionTrace::record(&moving, Path::Complete, UNLIMITED_TRIANGLES);
+                sessions.push(Session::new(format!("{placement:?}").to_lowercase(), trace)?);
+            }
+        }
+        Ok(Self { name, sessions })
+    }
+}
+
+impl Session {
+    fn new(path: String, trace: SessionTrace) -> anyhow::Result<Self> {
+        let ops = trace.ops()?;
+        let splits = ops.iter().flat_map(|(batch, _)| &batch.splits).map(|round| round.len() as u64).sum::<u64>();
+        let mut session = Self { path, trace, ops, splits, samples: Vec::new() };
+        session.samples = session.take_samples()?;
+        Ok(session)
+    }
+
+    fn take_samples(&self) -> anyhow::Result<Vec<(Sample, [i32; 3], [i32; 3])>> {
+        let every = (self.splits as usize / SESSION_SAMPLES).max(1);
+        let samples = RefCell::new(Vec::new());
+        let mut count = 0;
+        let mut state = self.trace.start();
+        for (batch, limit) in &self.ops {
+            let mut encoder = BatchEncoder::new(&mut state, batch.forgets_cuts);
+            for round in &batch.collapses {
+                encoder.collapse_round(round)?;
+            }
+            let spawns: Vec<_> = batch.spawns.iter().map(|(id, patch)| (*id, patch)).collect();
+            encoder.spawns(&spawns, *limit)?;
+            for round in &batch.splits {
+                encoder.split_round(&round.iter().map(|split| split.0).collect::<Vec<_>>())?;
+                for &(s, cut, vertex) in round {
+                    let cached = encoder.counts().cached_splits;
+                    count += 1;
+                    encoder.split(s, *limit, |replica, fan| {
+                        if count % every == 0 {
+                            let origin = replica.positions()[s as usize];
+                            let sample = Sample::new(replica, s, fan, cut);
+                            samples.borrow_mut().push((sample, origin, vertex.position));
+                        }
+                        Some((cut, vertex))
+                    })?;
+                    if encoder.counts().cached_splits > cached && count % every == 0 {
+                        samples.borrow_mut().pop();
+                    }
+                }
+                encoder.end_split_round();
+            }
+        }
+        Ok(samples.into_inner())
+    }
+
+    /// Bytes of the batches as coded with `trained`; `tally` counts what the contexts saw.
+    fn encode(&self, trained: &'static Trained, mut tally: Option<&mut Tally>) -> anyhow::Result<usize> {
+        let SessionTrace { base, lattice_bits, has_colors, has_moves, cache_entries, .. } = &self.trace;
+        let new = || OpState::with_trained(trained, base, *lattice_bits, *has_colors, *has_moves, *cache_entries);
+        let (mut sender, mut receiver) = (new()?, new()?);
+        let mut bytes = 0;
+        for (batch, limit) in &self.ops {
+            let (coded, _) = encode_trace(batch, &mut sender, *limit)?;
+            bytes += coded.len();
+            if let Some(tally) = &mut tally {
+                decode_batch_tallied(&coded, &mut receiver, *limit, tally)?;
+            }
+        }
+        Ok(bytes)
+    }
+}
+
+fn train(subjects: &[&Subject]) -> anyhow::Result<Trained> {
+    let sessions: Vec<&Session> = subjects.iter().flat_map(|subject| &subject.sessions).collect();
+    let mut trained = Trained {
+        cut: fit_cuts(&sessions),
+        position: fit_position(&sessions)?,
+        tangent_size: TRAINED.tangent_size.clone(),
+        height_size: TRAINED.height_size.clone(),
+        priors: &[],
+    };
+    [trained.tangent_size, trained.height_size] = fit_sizes(&sessions, &trained.position)?;
+    let weights: &'static Trained = Box::leak(Box::new(trained.clone()));
+    let mut sums: Vec<[f64; 2]> = Vec::new();
+    for session in sessions {
+        let mut tally = Tally::default();
+        session.encode(weights, Some(&mut tally))?;
+        let weight = (SESSION_SPLITS / session.splits.max(1) as f64).min(1.0);
+        sums.resize(tally.counts.len(), [0.0; 2]);
+        for (sum, count) in sums.iter_mut().zip(&tally.counts) {
+            sum[0] += count[0] * weight;
+            sum[1] += count[1] * weight;
+        }
+    }
+    // Half a sighting of either for what was hardly seen.
+    let chance = |[zero, one]: [f64; 2]| (zero + 0.5) / (zero + one + 1.0);
+    let priors = sums.into_iter().map(|count| (chance(count) * 65_536.0).round().clamp(64.0, 65_472.0) as u16);
+    trained.priors = Box::leak(priors.collect::<Vec<u16>>().into_boxed_slice());
+    Ok(trained)
+}
+
+/// Sums of a linear least-squares problem.
+struct LeastSquares<const N: usize> {
+    matrix: [[f64; N]; N],
+    right: [f64; N],
+}
+
+impl<const N: usize> LeastSquares<N> {
+    fn new() -> Self {
+        Self { matrix: [[0.0; N]; N], right: [0.0; N] }
+    }
+
+    fn add(&mut self, weight: f64, features: &[f64; N], target: f64) {
+        for i in 0..N {
+            for j in 0..N {
+                self.matrix[i][j] += weight * features[i] * features[j];
+            }
+            self.right[i] += weight * features[i] * target;
+        }
+    }
+
+    /// By Gauss-Jordan elimination, with a little ridge for what no sample tells.
+    fn solve(mut self) -> anyhow::Result<[f64; N]> {
+        let ridge = (0..N).map(|i| self.matrix[i][i]).fold(0.0, f64::max) * 1e-6 + 1e-12;
+        for i in 0..N {
+            self.matrix[i][i] += ridge;
+        }
+        for i in 0..N {
+            let pivot = self.matrix[i][i];
+            self.matrix[i].iter_mut().for_each(|x| *x /= pivot);
+            self.right[i] /= pivot;
+            for k in (0..N).filter(|&k| k != i) {
+                let factor = self.matrix[k][i];
+                for j in 0..N {
+                    self.matrix[k][j] -= factor * self.matrix[i][j];
+                }
+                self.right[k] -= factor * self.right[i];
+            }
+        }
+        anyhow::ensure!(self.right.iter().all(|x| x.is_finite()), "least squares have no solution");
+        Ok(self.right)
+    }
+}
+
+fn fixed<const N: usize>(values: [f64; N]) -> [i32; N] {
+    values.map(|x| (x * 256.0).round() as i32)
+}
+
+fn fit_position(sessions: &[&Session]) -> anyhow::Result<[[i32; 4]; CUT_SHAPES]> {
+    let mut problems: [LeastSquares<4>; CUT_SHAPES] = std::array::from_fn(|_| LeastSquares::new());
+    for session in sessions {
+        for (sample, s, t) in &session.samples {
+            let features = &sample.geometry;
+            // In units of the mean spoke, so that all scales count alike.
+            let weight = (-f64::from(features.tangent[0]) / 16.0).exp2() / session.samples.len() as f64;
+            for k in 0..3 {
+                let row: [f64; 4] = std::array::from_fn(|i| features.centers[i][k] as f64 / 64.0);
+                problems[features.shape].add(weight, &row, f64::from(t[k] - s[k]));
+            }
+        }
+    }
+    let mut out = [[0; 4]; CUT_SHAPES];
+    for (out, problem) in out.iter_mut().zip(problems) {
+        *out = fixed(problem.solve()?);
+    }
+    Ok(out)
+}
+
+fn fit_sizes(sessions: &[&Session], position: &[[i32; 4]; CUT_SHAPES]) -> anyhow::Result<[SizeWeights; 2]> {
+    const N: usize = 6 + CUT_SHAPES;
+    let mut problems = [LeastSquares::<N>::new(), LeastSquares::new()];
+    for session in sessions {
+        for (sample, s, t) in &session.samples {
+            let features = &sample.geometry;
+            let residual: [f64; 3] = std::array::from_fn(|k| {
+                let weights = position[features.shape];
+                let point: f64 = (0..4).map(|i| f64::from(weights[i]) * features.centers[i][k] as f64).sum();
+                f64::from(t[k] - s[k]) - point / 16_384.0
+            });
+            let [u, v, h] = sample.axes;
+            let normal = sample.normal.map(|x| x as f64);
+            let fall =
+                if normal[h] == 0.0 { 0.0 } else { (normal[u] * residual[u] + normal[v] * residual[v]) / normal[h] };
+            let octaves = |x: f64| 16.0 * (x + 0.5).log2();
+            let targets = [((residual[u].powi(2) + residual[v].powi(2)) / 2.0).sqrt(), (residual[h] + fall).abs()];
+            for (problem, (target, features_of)) in
+                problems.iter_mut().zip(targets.into_iter().zip([&features.tangent, &features.height]))
+            {
+                let mut row = [0.0; N];
+                for (x, &feature) in row.iter_mut().zip(features_of) {
+                    *x = f64::from(feature) / 2.0;
+                }
+                row[6 + features.shape] = 1.0;
+                problem.add(1.0 / session.samples.len() as f64, &row, octaves(target));
+            }
+        }
+    }
+    let mut out = Vec::new();
+    for problem in problems {
+        let solved = problem.solve()?;
+        out.push(SizeWeights {
+            constant: std::array::from_fn(|i| solved[6 + i].round() as i32),
+            features: std::array::from_fn(|i| (solved[i] * 256.0).round() as i32),
+        });
+    }
+    let height = out.pop().context("two problems")?;
+    Ok([out.pop().context("two problems")?, height])
+}
+
+/// Weights of the five features, then of each valence and arc length, in bits.
+const CUT_PARAMETERS: usize = 5 + 16 * 16;
+
+fn cut_features(features: &lodestream_protocol::op::CutFeatures) -> [f64; 5] {
+    let area = f64::from(features.area) / 256.0;
+    let octaves = |x: i32| f64::from(x) / 32.0;
+    [octaves(features.cut_length), octaves(features.inner_length), octaves(features.edge_length), area, area * area]
+}
+
+/// A softmax over the pairs of each sample, fitted by Adam in three passes.
+fn fit_cuts(sessions: &[&Session]) -> CutWeights {
+    let mut samples: Vec<&CutSample> =
+        sessions.iter().flat_map(|session| session.samples.iter().filter_map(|sample| sample.0.cut.as_ref())).collect();
+    fastrand::Rng::with_seed(1).shuffle(&mut samples);
+    let mut weights = [0.0; CUT_PARAMETERS];
+    let (mut first, mut second, mut gradient) = ([0.0; CUT_PARAMETERS], [0.0; CUT_PARAMETERS], [0.0; CUT_PARAMETERS]);
+    let mut step = 0;
+    for rate in [0.03, 0.01, 0.003] {
+        for batch in samples.chunks(64) {
+            gradient.fill(0.0);
+            for sample in batch {
+                let arc_weight = |arc: u32| 5 + sample.valence as usize * 16 + arc as usize;
+                let scores: Vec<f64> = sample
+                    .pairs
+                    .iter()
+                    .map(|(arc, features)| {
+                        let linear: f64 = cut_features(features).iter().zip(&weights).map(|(x, w)| x * w).sum();
+                        linear + weights[arc_weight(*arc)]
+                    })
+                    .collect();
+                let best = scores.iter().copied().fold(f64::MIN, f64::max);
+                let total: f64 = scores.iter().map(|score| (score - best).exp2()).sum();
+                for (i, (arc, features)) in sample.pairs.iter().enumerate() {
+                    let chance = (scores[i] - best).exp2() / total;
+                    let pull = (chance - f64::from(u8::from(i == sample.chosen))) / batch.len() as f64;
+                    for (g, x) in gradient.iter_mut().zip(cut_features(features)) {
+                        *g += pull * x;
+                    }
+                    gradient[arc_weight(*arc)] += pull;
+                }
+            }
+            step += 1;
+            for i in 0..CUT_PARAMETERS {
+                first[i] = 0.9 * first[i] + 0.1 * gradient[i];
+                second[i] = 0.999 * second[i] + 0.001 * gradient[i] * gradient[i];
+                let mean = first[i] / (1.0 - 0.9f64.powi(step));
+                let spread = (second[i] / (1.0 - 0.999f64.powi(step))).sqrt();
+                weights[i] -= rate * mean / (spread + 1e-8);
+            }
+        }
+    }
+    // Scores are in 1/16 bit, features in 1/32 octave and 1/256.
+    let per_octave = |w: f64| (w * 16.0 / 32.0 * 256.0).round() as i32;
+    let per_share = |w: f64| (w * 16.0 / 256.0 * 256.0).round() as i32;
+    CutWeights {
+        cut_length: per_octave(weights[0]),
+        inner_length: per_octave(weights[1]),
+        edge_length: per_octave(weights[2]),
+        area: per_share(weights[3]),
+        area_squared: per_share(weights[4]),
+        arcs: std::array::from_fn(|valence| {
+            std::array::from_fn(|arc| (weights[5 + valence * 16 + arc] * 16.0).round() as i32)
+        }),
+    }
+}
+
+/// The source text of `trained`.
+fn table(trained: &Trained) -> String {
+    let mut out = String::from(
+        "//! Written by `cargo run --release -p lodestream-tests --bin train`.\n\nuse super::{CutWeights, SizeWeights, Trained};\n\n\
+         /// As trained.\n#[rustfmt::skip]\npub static TRAINED: Trained = Trained {\n    cut: CutWeights {\n",
+    );
+    let CutWeights { cut_length, inner_length, edge_length, area, area_squared, arcs } = &trained.cut;
+    let mut line = |text: String| writeln!(out, "{text}").expect("a string takes all");
+    line(format!(
+        "        cut_length: {cut_length},\n        inner_length: {inner_length},\n        edge_length: {edge_length},"
+    ));
+    line(format!("        area: {area},\n        area_squared: {area_squared},\n        arcs: ["));
+    arcs.iter().for_each(|arcs| line(format!("            {arcs:?},")));
+    line("        ],\n    },\n    position: [".into());
+    trained.position.iter().for_each(|weights| line(format!("        {weights:?},")));
+    line("    ],".into());
+    for (name, SizeWeights { constant, features }) in
+        [("tangent_size", &trained.tangent_size), ("height_size", &trained.height_size)]
+    {
+        line(format!(
+            "    {name}: SizeWeights {{\n        constant: {constant:?},\n        features: {features:?},\n    }},"
+        ));
+    }
+    line("    priors: &[".into());
+    trained.priors.chunks(20).for_each(|priors| {
+        let text: Vec<String> = priors.iter().map(u16::to_string).collect();
+        line(format!("        {},", text.join(", ")));
+    });
+    line("    ],\n};".into());
+    out
+}

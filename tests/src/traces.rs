@@ -1,0 +1,201 @@
+//! What sessions sent, free of how it was coded: the material for breakdowns, for training priors and for benchmarks of the
+//! codec.
+
+use glam::DVec3;
+use lodestream_client::core::ClientConfig;
+use lodestream_protocol::mesh::Patch;
+use lodestream_protocol::message::{Batch, ServerMessage};
+use lodestream_protocol::op::{
+    BatchTrace, Breakdown, DecodeError, OpState, decode_base, decode_batch, decode_batch_measured, decode_batch_traced,
+};
+use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
+use lodestream_protocol::wire;
+
+use crate::model::TestModel;
+use crate::sim::{Pair, PairConfig};
+
+/// What a client looks at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Path {
+    /// Everything, from cold.
+    Complete,
+    /// The whole object from cold, then once around it, a degree a step.
+    Orbit,
+    /// A close view from cold, then a flight along the surface.
+    Close,
+    /// Random views far and near, each of the first again at the end.
+    Jump,
+}
+
+impl Path {
+    /// All of them.
+    pub const ALL: [Path; 4] = [Path::Complete, Path::Orbit, Path::Close, Path::Jump];
+
+    /// Lower-case name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Path::Complete => "complete",
+            Path::Orbit => "orbit",
+            Path::Close => "close",
+            Path::Jump => "jump",
+        }
+    }
+
+    /// The views, at one pixel of a 1080-line image.
+    pub fn views(self, center: DVec3, radius: f64, triangle_limit: u32) -> Vec<View> {
+        let look = |direction: DVec3, distance: f64| {
+            let mut view = View::perspective(center + direction * distance, center, 45f32.to_radians());
+            view.near = radius * 1e-3;
+            view.triangle_limit = triangle_limit;
+            view
+        };
+        let around = |degrees: f64| DVec3::new(degrees.to_radians().sin(), 0.0, degrees.to_radians().cos());
+        let whole = radius / 22.5f64.to_radians().sin();
+        match self {
+            Path::Complete => {
+                vec![View { complete: true, triangle_limit: UNLIMITED_TRIANGLES, ..look(DVec3::Z, whole) }]
+            }
+            Path::Orbit => (0..120).map(|i| look(around(f64::from(i)), whole)).collect(),
+            Path::Close => (0..60).map(|i| look(around(f64::from(i)), radius * 0.95)).collect(),
+            Path::Jump => {
+                let mut rng = fastrand::Rng::with_seed(7);
+                let mut views: Vec<View> = (0..12)
+                    .map(|_| {
+                        let direction = DVec3::new(rng.f64() - 0.5, rng.f64() - 0.5, rng.f64() - 0.5);
+                        look(direction.normalize_or(DVec3::Z), radius * (0.95 + 2.0 * rng.f64()))
+                    })
+                    .collect();
+                views.extend(views[..6].to_vec());
+                views
+            }
+        }
+    }
+}
+
+/// One session, from the welcome on.
+#[derive(Clone, Debug)]
+pub struct SessionTrace {
+    /// The base mesh.
+    pub base: Patch,
+    /// Bytes of the coded base mesh.
+    pub base_bytes: u64,
+    /// Bytes of all frames to the client.
+    pub frame_bytes: u64,
+    /// Frames to the client.
+    pub frames: u64,
+    /// Bytes of their WebSocket headers.
+    pub websocket_bytes: u64,
+    /// Bits of a lattice coordinate.
+    pub lattice_bits: u8,
+    /// Whether vertices have colours.
+    pub has_colors: bool,
+    /// Whether splits move the vertex that they split.
+    pub has_moves: bool,
+    /// Capacity of the op cache.
+    pub cache_entries: u32,
+    /// The batches as sent.
+    pub batches: Vec<Batch>,
+}
+
+impl SessionTrace {
+    /// Runs a session over a link without delay, each view until it has settled, and keeps what was sent.
+    ///
+    /// # Panics
+    /// If the two ends disagree.
+    pub fn record(test: &TestModel, path: Path, triangle_limit: u32) -> Self {
+        let (lo, hi) = test.clean.bounding_box().expect("the mesh has vertices");
+        let (lo, hi) = (DVec3::from_array(lo), DVec3::from_array(hi));
+        let client = ClientConfig { triangle_limit, ..PairConfig::default().client };
+        let mut pair = Pair::new(test.model.clone(), PairConfig { client, ..PairConfig::default() });
+        pair.keep_frames();
+        for view in path.views((lo + hi) / 2.0, (hi - lo).length() / 2.0, triangle_limit) {
+            pair.look(view);
+            pair.settle();
+        }
+        let [frames, _] = pair.kept_frames();
+        Self::of_frames(&frames)
+    }
+
+    /// What the frames to a client hold.
+    ///
+    /// # Panics
+    /// If they are no session.
+    pub fn of_frames(frames: &[Vec<u8>]) -> Self {
+        let mut trace: Option<Self> = None;
+        let mut batches = Vec::new();
+        for frame in frames {
+            match wire::decode_server(frame).expect("the server sends valid frames") {
+                ServerMessage::Welcome { model, cache_entries, base } => {
+                    trace = Some(Self {
+                        base: decode_base(&base, model.lattice.bits, model.has_colors).expect("the base decodes"),
+                        base_bytes: base.len() as u64,
+                        frame_bytes: frames.iter().map(|frame| frame.len() as u64).sum(),
+                        frames: frames.len() as u64,
+                        websocket_bytes: frames.iter().map(|frame| websocket_header(frame.len())).sum(),
+                        lattice_bits: model.lattice.bits,
+                        has_colors: model.has_colors,
+                        has_moves: model.has_moves,
+                        cache_entries,
+                        batches: Vec::new(),
+                    });
+                }
+                ServerMessage::Batch(batch) => batches.push(batch),
+                ServerMessage::Settled(_) => {}
+                ServerMessage::Restart => panic!("the two ends disagreed"),
+            }
+        }
+        let mut trace = trace.expect("a session begins with a welcome");
+        trace.batches = batches;
+        trace
+    }
+
+    /// The state of both ends before the first batch.
+    pub fn start(&self) -> OpState {
+        let Self { base, lattice_bits, has_colors, has_moves, cache_entries, .. } = self;
+        OpState::new(base, *lattice_bits, *has_colors, *has_moves, *cache_entries).expect("the base is a manifold")
+    }
+
+    /// The ops, batch by batch.
+    ///
+    /// # Errors
+    /// If a batch does not decode.
+    pub fn ops(&self) -> Result<Vec<(BatchTrace, u32)>, DecodeError> {
+        let mut state = self.start();
+        let traced = |batch: &Batch| Ok((decode_batch_traced(&batch.ops, &mut state, batch.limit)?, batch.limit));
+        self.batches.iter().map(traced).collect()
+    }
+
+    /// What the bits of the batches were spent on.
+    ///
+    /// # Errors
+    /// If a batch does not decode.
+    pub fn breakdown(&self) -> Result<Breakdown, DecodeError> {
+        let mut state = self.start();
+        let mut breakdown = Breakdown::default();
+        for batch in &self.batches {
+            decode_batch_measured(&batch.ops, &mut state, batch.limit, &mut breakdown)?;
+        }
+        Ok(breakdown)
+    }
+
+    /// Decodes and applies everything: the client's work, for benchmarks.
+    ///
+    /// # Errors
+    /// If a batch does not decode.
+    pub fn replay(&self) -> Result<OpState, DecodeError> {
+        let mut state = self.start();
+        for batch in &self.batches {
+            decode_batch(&batch.ops, &mut state, batch.limit)?;
+        }
+        Ok(state)
+    }
+}
+
+/// Bytes of the header of an unmasked WebSocket frame (RFC 6455, section 5.2).
+fn websocket_header(payload: usize) -> u64 {
+    match payload {
+        0..=125 => 2,
+        126..=65_535 => 4,
+        _ => 10,
+    }
+}
