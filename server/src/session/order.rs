@@ -42,7 +42,9 @@ pub(super) fn sending_order(
                 }
                 let (parents, count) = if op < model.spawn_count() { ([0; 3], 0) } else { model.parents(op)? };
                 let before = stack.len();
-                if stack.len() <= band.len() {
+                // On the way down each op of the band is entered at most once and puts at most three on the stack: more than
+                // that is a cycle.
+                if stack.len() <= 3 * band.len() {
                     stack.extend(parents[..count].iter().copied().filter(|parent| waiting.contains(parent)));
                 }
                 if stack.len() == before {
