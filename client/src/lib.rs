@@ -5,6 +5,7 @@
 //! - [`net`]: addresses, the WebSocket, simulated slow links.
 //! - `render`: the wgpu renderer (feature `render`).
 //! - `app`: what joins them: the offscreen client of `lodestream snapshot` (feature `net-native`).
+//! - `load`: many clients without a picture, and what they measured: `lodestream load` (feature `net-native`).
 
 #[cfg(feature = "net-native")]
 pub mod app;
@@ -12,6 +13,8 @@ pub mod camera;
 pub mod core;
 #[cfg(test)]
 mod fake_server;
+#[cfg(feature = "net-native")]
+pub mod load;
 pub mod net;
 #[cfg(feature = "render")]
 pub mod render;

@@ -1,16 +1,24 @@
 //! Command line of the Lodestream client: reads the flags, calls the library, prints, sets the exit code.
 
-use std::path::PathBuf;
+use std::fs::File;
+use std::io::{BufReader, Write};
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
 
 use anyhow::Context;
 use clap::error::ErrorKind;
 use clap::{Args, CommandFactory, Parser, Subcommand};
 use glam::DVec3;
 use lodestream_client::app::drive::Until;
+use lodestream_client::app::file::{check_folder, write_aside};
 use lodestream_client::app::snapshot::{self, SnapshotOptions};
+use lodestream_client::camera::recording::Recording;
 use lodestream_client::camera::{Detail, Viewport};
-use lodestream_client::net::link::{LinkRate, LinkShape, parse_duration};
+use lodestream_client::load::pace::Pace;
+use lodestream_client::load::path::Path as CameraPath;
+use lodestream_client::load::{self, LoadOptions};
+use lodestream_client::net::link::{LinkRate, LinkShape, Stalls, parse_duration};
 use lodestream_client::net::target::Target;
 use lodestream_protocol::view::UNLIMITED_TRIANGLES;
 
@@ -25,6 +33,8 @@ struct Cli {
 enum Command {
     /// Stream one view of a model without a window; write the image, the mesh or figures
     Snapshot(SnapshotArgs),
+    /// Let many clients without a picture move through a model, and measure what they get
+    Load(LoadArgs),
 }
 
 #[derive(Args)]
@@ -53,7 +63,7 @@ struct SnapshotArgs {
     /// Want every op of the model, whatever the view
     #[arg(long)]
     complete: bool,
-    /// Rate of the simulated link from the server: 'unlimited' or such as 1Mbit, 256kbit
+    /// Rate of the simulated link, in each direction: 'unlimited' or such as 1Mbit, 256kbit
     #[arg(long, value_name = "RATE", default_value = "unlimited")]
     rate: LinkRate,
     /// One-way latency of the simulated link, such as 50ms
@@ -76,10 +86,69 @@ struct SnapshotArgs {
     json: bool,
 }
 
+#[derive(Args)]
+struct LoadArgs {
+    /// Address of the model, such as http://host:port/models/bunny
+    #[arg(value_name = "URL")]
+    url: Target,
+    /// Clients, each with a connection, a mesh and a camera of its own
+    #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    clients: u32,
+    /// Time over which the clients begin
+    #[arg(long, value_name = "TIME", default_value = "0s", value_parser = parse_duration)]
+    ramp: std::time::Duration,
+    /// Seconds that each client goes on, the path again and again; without it once along the path, until settled
+    #[arg(long, value_name = "S", value_parser = parse_seconds)]
+    duration: Option<std::time::Duration>,
+    /// orbit (a degree a step), zoom, fly, jump, or a file of recorded views
+    #[arg(long, value_name = "PATH", default_value = "orbit")]
+    path: String,
+    /// Views per second, or 'settled': the next view when the one before has settled [default: 10; 0.5 for jump; the times
+    /// of recorded views]
+    #[arg(long, value_name = "HZ")]
+    view_rate: Option<Pace>,
+    /// Size of the images that are asked for, in pixels
+    #[arg(long, value_name = "WxH", default_value = "1920x1080", value_parser = parse_size)]
+    size: Viewport,
+    /// Vertical opening angle in degrees
+    #[arg(long, value_name = "DEG", default_value = "45", value_parser = parse_fov)]
+    fov: f32,
+    /// Most triangles that a client holds at any moment, or 'unlimited'
+    #[arg(long, value_name = "N", default_value = "1000000", value_parser = parse_triangles)]
+    triangles: u32,
+    /// Largest error that may stay, in pixels
+    #[arg(long, value_name = "PX", default_value = "1", value_parser = parse_tolerance)]
+    tolerance: f32,
+    /// Rate of each client's simulated link, in each direction: 'unlimited' or such as 1Mbit, 256kbit
+    #[arg(long, value_name = "RATE", default_value = "unlimited")]
+    rate: LinkRate,
+    /// One-way latency of the simulated link, such as 50ms
+    #[arg(long, value_name = "TIME", default_value = "0ms", value_parser = parse_duration)]
+    latency: std::time::Duration,
+    /// Share of packets that are lost and sent again, from 0 to 0.5
+    #[arg(long, value_name = "P", default_value = "0", value_parser = parse_loss)]
+    loss: f64,
+    /// Times in which nothing moves: how long they are and how far apart on average, such as 300ms/10s
+    #[arg(long, value_name = "LENGTH/INTERVAL")]
+    stall: Option<Stalls>,
+    /// What paths and links are drawn from: the same seed, the same paths and links
+    #[arg(long, value_name = "N", default_value = "1")]
+    seed: u64,
+    /// Threads for all clients together, 0 for one per core
+    #[arg(long, value_name = "N", default_value = "0", value_parser = parse_threads)]
+    threads: usize,
+    /// Write the figures as JSON, to standard output for '-'
+    #[arg(long, value_name = "FILE|-")]
+    json: Option<PathBuf>,
+}
+
 fn main() -> ExitCode {
     // Usage errors end here, with exit code 2.
-    let Command::Snapshot(args) = Cli::parse().command;
-    match run_snapshot(args) {
+    let result = match Cli::parse().command {
+        Command::Snapshot(args) => run_snapshot(args),
+        Command::Load(args) => run_load(args),
+    };
+    match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error:#}");
@@ -105,7 +174,7 @@ fn run_snapshot(args: SnapshotArgs) -> anyhow::Result<()> {
             complete: args.complete,
             two_sided: false,
         },
-        shape: LinkShape { rate: args.rate, latency: args.latency },
+        shape: LinkShape { rate: args.rate, latency: args.latency, ..LinkShape::default() },
         until: args.until,
         output: args.output,
         export: args.export,
@@ -119,9 +188,68 @@ fn run_snapshot(args: SnapshotArgs) -> anyhow::Result<()> {
     }
 }
 
+fn run_load(args: LoadArgs) -> anyhow::Result<()> {
+    let path = read_path(&args.path)?;
+    let usual_pace = match path {
+        CameraPath::Recorded(_) => Pace::Recorded,
+        CameraPath::Jump => Pace::PerSecond(0.5),
+        CameraPath::Orbit | CameraPath::Zoom | CameraPath::Fly => Pace::PerSecond(10.0),
+    };
+    let file = args.json.as_deref().filter(|file| *file != Path::new("-"));
+    if let Some(file) = file {
+        check_folder(file)?;
+    }
+    let options = LoadOptions {
+        target: args.url,
+        clients: args.clients,
+        ramp: args.ramp,
+        duration: args.duration,
+        path,
+        pace: args.view_rate.unwrap_or(usual_pace),
+        viewport: args.size,
+        fov_y_rad: args.fov.to_radians(),
+        detail: Detail { triangle_limit: args.triangles, tolerance_px: args.tolerance, ..Detail::default() },
+        shape: LinkShape { rate: args.rate, latency: args.latency, loss: args.loss, stalls: args.stall, seed: 0 },
+        seed: args.seed,
+        threads: args.threads,
+    };
+    let report = load::run(options).context("cannot start")?;
+    match (&args.json, file) {
+        (Some(_), None) => print_line(&serde_json::to_string_pretty(&report).context("figures as JSON")?)?,
+        (_, Some(file)) => {
+            print_line(&report.to_string())?;
+            write_aside(file, |out| {
+                serde_json::to_writer_pretty(&mut *out, &report)?;
+                out.write_all(b"\n")
+            })?;
+        }
+        (None, None) => print_line(&report.to_string())?,
+    }
+    match report.faults() {
+        faults if faults.is_empty() => Ok(()),
+        faults => Err(anyhow::anyhow!("{}", faults.join(", "))),
+    }
+}
+
+/// A built-in path by its name, else a file.
+fn read_path(text: &str) -> anyhow::Result<CameraPath> {
+    Ok(match text {
+        "orbit" => CameraPath::Orbit,
+        "zoom" => CameraPath::Zoom,
+        "fly" => CameraPath::Fly,
+        "jump" => CameraPath::Jump,
+        file => {
+            let opened = File::open(file).with_context(|| {
+                format!("--path '{file}' is neither orbit, zoom, fly, jump nor a file that can be read")
+            })?;
+            let recording = Recording::read(BufReader::new(opened)).with_context(|| format!("--path '{file}'"))?;
+            CameraPath::Recorded(Arc::new(recording))
+        }
+    })
+}
+
 /// Prints a line; a closed pipe is an error and not a panic.
 fn print_line(text: &str) -> anyhow::Result<()> {
-    use std::io::Write;
     writeln!(std::io::stdout(), "{text}").context("cannot write to standard output")
 }
 
@@ -158,6 +286,19 @@ fn parse_tolerance(text: &str) -> Result<f32, String> {
     pixels.ok_or_else(|| "expected pixels, at least 0".into())
 }
 
+fn parse_seconds(text: &str) -> Result<std::time::Duration, String> {
+    let seconds = text.parse().ok().filter(|seconds| (0.001..=1e7).contains(seconds));
+    seconds.map(std::time::Duration::from_secs_f64).ok_or_else(|| "expected seconds, above 0".into())
+}
+
+fn parse_loss(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|share| (0.0..=0.5).contains(share)).ok_or_else(|| "expected a share from 0 to 0.5".into())
+}
+
+fn parse_threads(text: &str) -> Result<usize, String> {
+    text.parse().ok().filter(|threads| *threads <= 1024).ok_or_else(|| "expected a number from 0 to 1024".into())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -170,7 +311,7 @@ mod tests {
     #[test]
     fn defaults_are_those_of_the_manual() {
         let cli = Cli::parse_from(["lodestream", "snapshot", "http://h:1/models/x"]);
-        let Command::Snapshot(args) = cli.command;
+        let Command::Snapshot(args) = cli.command else { panic!("a snapshot was asked for") };
         assert_eq!(args.size, Viewport { width_px: 1280, height_px: 720 });
         assert_eq!((args.fov, args.triangles, args.tolerance), (45.0, 1_000_000, 1.0));
         assert_eq!(
@@ -185,7 +326,7 @@ mod tests {
         let parse = |flags: &str| {
             let words = ["lodestream", "snapshot", "http://h:1/models/x"].into_iter().chain(flags.split_whitespace());
             Cli::try_parse_from(words).map(|cli| {
-                let Command::Snapshot(args) = cli.command;
+                let Command::Snapshot(args) = cli.command else { panic!("a snapshot was asked for") };
                 args
             })
         };
@@ -209,6 +350,38 @@ mod tests {
             "--latency 50",
             "--until never",
             "--frobnicate",
+        ] {
+            assert!(parse(flags).is_err_and(|error| error.exit_code() == 2), "{flags}");
+        }
+    }
+
+    #[test]
+    fn flags_of_load_are_read_and_nonsense_is_refused() {
+        let parse = |flags: &str| {
+            let words = ["lodestream", "load", "http://h:1/models/x"].into_iter().chain(flags.split_whitespace());
+            Cli::try_parse_from(words).map(|cli| match cli.command {
+                Command::Load(args) => args,
+                Command::Snapshot(_) => panic!("load was asked for"),
+            })
+        };
+        let args = parse("").unwrap();
+        assert_eq!((args.clients, args.duration, args.path.as_str(), args.view_rate), (1, None, "orbit", None));
+        assert_eq!((args.size.height_px, args.triangles, args.seed, args.threads), (1080, 1_000_000, 1, 0));
+        let args =
+            parse("--clients 1000 --ramp 5s --duration 1.5 --view-rate settled --stall 300ms/10s --loss 0.01").unwrap();
+        assert_eq!((args.clients, args.view_rate, args.loss), (1000, Some(Pace::Settled), 0.01));
+        assert_eq!((args.ramp.as_secs(), args.duration.unwrap().as_millis()), (5, 1500));
+        assert_eq!(args.stall.unwrap().length.as_millis(), 300);
+        for flags in [
+            "--clients 0",
+            "--duration 0",
+            "--view-rate never",
+            "--stall 300ms",
+            "--loss 2",
+            "--loss nan",
+            "--seed -1",
+            "--threads many",
+            "--complete",
         ] {
             assert!(parse(flags).is_err_and(|error| error.exit_code() == 2), "{flags}");
         }

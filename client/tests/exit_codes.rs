@@ -27,6 +27,18 @@ fn help_is_no_error() {
 }
 
 #[test]
+fn load_explains_its_flags() {
+    let help = lodestream(&["load", "--help"]);
+    let text = String::from_utf8(help.stdout).expect("text");
+    for flag in
+        "clients ramp duration path view-rate size fov triangles tolerance rate latency loss stall seed threads json"
+            .split(' ')
+    {
+        assert!(text.contains(&format!("--{flag} ")), "--{flag}: {text}");
+    }
+}
+
+#[test]
 fn bad_usage_exits_with_2() {
     check(&[], 2, "Usage");
     check(&["snapshot"], 2, "<URL>");
@@ -43,4 +55,7 @@ fn failures_exit_with_1() {
     let url = format!("http://127.0.0.1:{port}/models/x");
     check(&["snapshot", &url], 1, &format!("error: no server answers at 127.0.0.1:{port}"));
     check(&["snapshot", &url, "--stats", "no-such-folder/stats.json"], 1, "cannot write 'no-such-folder/stats.json'");
+    check(&["load", &url, "--clients", "3"], 1, "error: 3 clients failed");
+    check(&["load", &url, "--path", "no-such-file"], 1, "'no-such-file' is neither orbit, zoom, fly, jump nor a file");
+    check(&["load", &url, "--json", "no-such-folder/out.json"], 1, "cannot write 'no-such-folder/out.json'");
 }

@@ -87,6 +87,7 @@ fn platform_crates_stay_at_home() {
                 "client/src/net/native.rs",
                 "client/src/net/native/",
                 "client/src/app/",
+                "client/src/load/",
             ],
         ),
         // The tests of `snapshot` run a server of their own.
@@ -164,8 +165,14 @@ const SERVER: Layers<'static> = &[
     ),
 ];
 
-const CLIENT: Layers<'static> =
-    &[("camera", &[]), ("core", &[]), ("net", &[]), ("render", &[]), ("app", &["camera", "core", "net", "render"])];
+const CLIENT: Layers<'static> = &[
+    ("camera", &[]),
+    ("core", &[]),
+    ("net", &[]),
+    ("render", &[]),
+    ("app", &["camera", "core", "net", "render"]),
+    ("load", &["camera", "core", "net"]),
+];
 
 #[test]
 fn modules_import_downward() {

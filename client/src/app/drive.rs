@@ -95,7 +95,7 @@ pub async fn drive(
             return Ok(());
         }
 
-        if heard != connection.bytes_received() || connection.is_receiving() || session.settled().is_some() {
+        if heard != connection.bytes_received() || session.settled().is_some() {
             heard = connection.bytes_received();
             heard_at = now;
         } else if now.since(heard_at) >= SILENCE {

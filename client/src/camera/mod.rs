@@ -3,9 +3,11 @@
 //!
 //! Right-handed, y up, the camera looks along its own -z. All of it is in `f64` and in model units; only
 //! [`Camera::lattice_to_clip`] rounds, at the very end, so that survey coordinates in the millions keep their millimetres.
-//! [`Orbit`] turns pointer motion into poses.
+//! [`Orbit`] turns pointer motion into poses; `recording` is the file format of a session's views.
 
 mod orbit;
+#[cfg(feature = "net-native")]
+pub mod recording;
 
 use glam::{DMat4, DQuat, DVec3, DVec4, Mat4};
 use lodestream_protocol::message::ModelInfo;

@@ -123,6 +123,7 @@ pub struct ClientSession {
     inbox: Inbox,
     /// Newest batch applied since the base.
     applied: BatchSeq,
+    applied_view: Option<ViewSeq>,
     ack_due: Option<BatchSeq>,
     reset_due: Option<BatchSeq>,
     /// Set from a disagreement until the server's restart; ops mean nothing then.
@@ -145,6 +146,7 @@ impl ClientSession {
             model: None,
             inbox: Inbox::default(),
             applied: BatchSeq(0),
+            applied_view: None,
             ack_due: None,
             reset_due: None,
             awaits_restart: false,
@@ -301,6 +303,11 @@ impl ClientSession {
         self.current.as_ref().map(|current| (current.seq, &current.view))
     }
 
+    /// The view that the newest batch applied was chosen for, `None` before the first.
+    pub fn applied_view(&self) -> Option<ViewSeq> {
+        self.applied_view
+    }
+
     /// The server's word that the mesh is exactly what the newest view asks for; `None` until then.
     pub fn settled(&self) -> Option<Settled> {
         self.settled
@@ -358,12 +365,13 @@ impl ClientSession {
             }
         };
         self.applied = batch.seq;
+        self.applied_view = Some(batch.view);
         self.ack_due = Some(batch.seq);
         self.batches_since_reset = self.batches_since_reset.saturating_add(1);
         if self.batches_since_reset >= FORGIVING_BATCHES {
             self.resets_in_a_row = 0;
         }
-        self.stats.count(&counts);
+        self.stats.count(batch.ops.len(), &counts);
         // Ops after a settled state are on the way to another one, whichever view they were chosen for.
         self.unsettle();
         self.stats.error_px = Some(batch.lambda_px);

@@ -21,6 +21,8 @@ pub struct Stats {
     pub frames: u64,
     /// Batches applied.
     pub batches: u64,
+    /// Bytes of their coded ops, without the headers of batch and frame.
+    pub op_bytes: u64,
     /// Vertex splits applied, cached ones included.
     pub splits: u64,
     /// Splits that came from the mirrored cache.
@@ -62,8 +64,9 @@ pub struct Stats {
 
 impl Stats {
     /// Adds what a batch did.
-    pub(super) fn count(&mut self, counts: &OpCounts) {
+    pub(super) fn count(&mut self, op_bytes: usize, counts: &OpCounts) {
         self.batches += 1;
+        self.op_bytes += op_bytes as u64;
         self.splits += u64::from(counts.splits);
         self.cached_splits += u64::from(counts.cached_splits);
         self.collapses += u64::from(counts.collapses);

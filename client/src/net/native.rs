@@ -1,19 +1,25 @@
 //! The WebSocket over tokio, behind a [shaped link](super::link), with every byte counted.
 //!
 //! A [`Connection`] owns the socket and the clock. It is driven by one task: [`send`](Connection::send) puts a frame on its
-//! way, [`next`](Connection::next) does all the waiting. Nothing above this module names tokio.
+//! way, [`next`](Connection::next) does all the waiting. The link lies below the WebSocket, so that every byte takes its
+//! time and a slow one makes the server wait.
 
 mod counted;
+mod shaped;
 
-use std::future::Future;
+use std::collections::VecDeque;
+use std::future::{Future, poll_fn};
 use std::io;
+use std::pin::Pin;
+use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
-use futures_util::{SinkExt, StreamExt};
+use futures_util::{Sink, Stream};
 use lodestream_protocol::limits::MAX_FRAME_BYTES;
 use lodestream_protocol::message::CloseCode;
 use lodestream_protocol::time::Timestamp;
-use tokio::net::TcpStream;
+use tokio::io::AsyncWrite;
+use tokio::net::{TcpSocket, TcpStream, lookup_host};
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::tungstenite::error::ProtocolError;
@@ -22,9 +28,10 @@ use tokio_tungstenite::tungstenite::protocol::frame::CloseFrame;
 use tokio_tungstenite::tungstenite::protocol::{Message, WebSocketConfig};
 use tokio_tungstenite::{WebSocketStream, client_async_with_config, tungstenite};
 
-use super::link::{Lane, LinkRate, LinkShape};
+use super::link::LinkShape;
 use super::target::Target;
 use counted::Counted;
+use shaped::Shaped;
 
 /// How long opening a connection may take, besides what the shaped link adds.
 const OPEN_TIMEOUT: Duration = Duration::from_secs(10);
@@ -32,6 +39,12 @@ const OPEN_TIMEOUT: Duration = Duration::from_secs(10);
 const SEND_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long to wait for the server to take our goodbye.
 const CLOSE_TIMEOUT: Duration = Duration::from_millis(500);
+/// Bytes of frames that wait to be sent from which on no more are taken.
+const MAX_QUEUED_BYTES: usize = 1 << 20;
+/// Bytes that the system keeps for a socket behind a shaped link: the link has buffers of its own.
+const SHAPED_RECEIVE_BYTES: u32 = 64 << 10;
+/// Bytes that are read from the link at once. There may be thousands of connections.
+const READ_BUFFER_BYTES: usize = 16 << 10;
 /// Longest text of a server that is repeated to the user, in characters.
 const MAX_REASON_CHARS: usize = 300;
 
@@ -112,27 +125,22 @@ pub enum Event {
     Wake,
 }
 
-/// What is on the way to the client.
-#[derive(Debug)]
-enum Arrival {
-    Frame(Vec<u8>),
-    /// Pings and the like: bytes that mean nothing above.
-    Control,
-    End(NetError),
-}
+type Socket = WebSocketStream<Counted<Shaped<TcpStream>>>;
 
 /// One WebSocket connection. See the module.
 #[derive(Debug)]
 pub struct Connection {
-    socket: WebSocketStream<Counted<TcpStream>>,
+    socket: Socket,
     start: Instant,
-    /// From the server, with where each arrival ends in the stream of bytes.
-    down: Lane<(Arrival, u64)>,
-    up: Lane<Vec<u8>>,
-    /// Where the last message read from the socket ends.
-    read_end: u64,
-    /// Where the last arrival taken out of the link ends.
+    shape: LinkShape,
+    /// Frames to send.
+    queue: VecDeque<Vec<u8>>,
+    queued_bytes: usize,
+    /// Since when the socket refuses a frame.
+    stuck_since: Option<Instant>,
+    /// Where the last message ends in the stream of bytes.
     delivered_end: u64,
+    /// Whether the server is known to be gone: what it said before is still to be read.
     is_over: bool,
 }
 
@@ -144,25 +152,21 @@ impl Connection {
     /// [`NetError`]; nothing is left open.
     pub async fn open(target: &Target, shape: LinkShape) -> Result<Self, NetError> {
         let start = Instant::now();
-        let limit = OPEN_TIMEOUT + shape.latency * 4;
-        let socket = timeout(limit, upgrade(target, shape))
+        let limit = OPEN_TIMEOUT + shape.latency * 4 + shape.stalls.map_or(Duration::ZERO, |stalls| stalls.length * 2);
+        let socket = timeout(limit, upgrade(target, &shape, start))
             .await
             .map_err(|_| NetError::OpenTimeout { authority: target.authority(), seconds: limit.as_secs() })??;
-        let mut connection = Self {
-            read_end: socket.get_ref().head_received(),
+        let delivered_end = socket.get_ref().head_received();
+        Ok(Self {
             socket,
             start,
-            down: Lane::new(shape.rate, shape.latency),
-            up: Lane::new(LinkRate::Unlimited, shape.latency),
-            delivered_end: 0,
+            shape,
+            queue: VecDeque::new(),
+            queued_bytes: 0,
+            stuck_since: None,
+            delivered_end,
             is_over: false,
-        };
-        connection.arrive(connection.read_end, Arrival::Control);
-        while let Some(due) = connection.down.next_due() {
-            sleep_until(start + due.0).await;
-            connection.take_due();
-        }
-        Ok(connection)
+        })
     }
 
     /// Time since [`open`](Self::open) was called.
@@ -172,130 +176,131 @@ impl Connection {
 
     /// Whether [`send`](Self::send) may be called: its queue is bounded.
     pub fn may_send(&self) -> bool {
-        self.up.has_room()
+        self.queued_bytes < MAX_QUEUED_BYTES
     }
 
     /// Puts a frame on its way. It goes out during [`next`](Self::next).
     pub fn send(&mut self, frame: Vec<u8>) {
-        self.up.push(self.now(), frame.len(), frame);
+        self.queued_bytes += frame.len();
+        self.queue.push_back(frame);
     }
 
-    /// Waits for the next frame, at most until `until`. Frames that are due come before the time is looked at.
+    /// Waits for the next frame, at most until `until`. Frames that are there come before the time is looked at.
     ///
     /// # Errors
     /// [`NetError`], after everything that came before the end.
     pub async fn next(&mut self, until: Option<Timestamp>) -> Result<Event, NetError> {
-        loop {
-            self.send_due().await?;
-            if let Some(arrival) = self.take_due() {
-                match arrival {
-                    Arrival::Frame(frame) => {
-                        return Ok(Event::Frame(Delivery { frame, bytes_received: self.delivered_end }));
-                    }
-                    Arrival::Control => continue,
-                    Arrival::End(error) => return Err(error),
-                }
+        let wake = until.map(|until| self.start + until.0);
+        let waiting = async {
+            match wake {
+                Some(wake) => sleep_until(wake).await,
+                None => std::future::pending().await,
             }
-            if until.is_some_and(|until| until <= self.now()) {
-                return Ok(Event::Wake);
-            }
-            let wake = [until, self.down.next_due(), self.up.next_due()].into_iter().flatten().min();
-            let start = self.start;
-            let waiting = async {
-                match wake {
-                    Some(wake) => sleep_until(start + wake.0).await,
-                    None => std::future::pending().await,
-                }
-            };
-            let may_read = !self.is_over && self.down.has_room();
-            tokio::select! {
-                message = self.socket.next(), if may_read => self.read(message),
-                () = waiting => {}
-            }
+        };
+        tokio::select! {
+            biased;
+            delivery = poll_fn(|cx| self.poll_delivery(cx)) => delivery.map(Event::Frame),
+            () = waiting => Ok(Event::Wake),
         }
     }
 
-    /// Bytes that came out of the link so far: where the last frame ended.
+    /// Bytes that came out of the link up to the end of the last frame.
     pub fn bytes_delivered(&self) -> u64 {
         self.delivered_end
     }
 
-    /// Bytes that came through the socket so far; some of them may still be in the link.
+    /// Bytes that came out of the link so far; the last of them may belong to a frame that is not complete.
     pub fn bytes_received(&self) -> u64 {
         self.socket.get_ref().received()
     }
 
-    /// Bytes that went out through the socket so far.
+    /// Bytes that went into the link so far.
     pub fn bytes_sent(&self) -> u64 {
         self.socket.get_ref().sent()
     }
 
-    /// Whether something from the server is still in the link.
-    pub fn is_receiving(&self) -> bool {
-        !self.down.is_empty()
-    }
-
-    /// Says goodbye. What is still on the way is lost, which is no error.
+    /// Says goodbye and waits until that has gone out. What is still on the way here is lost, which is no error.
     pub async fn close(mut self, code: CloseCode) {
         let frame = CloseFrame { code: (code as u16).into(), reason: "".into() };
-        let _ = timeout(CLOSE_TIMEOUT, self.socket.close(Some(frame))).await;
+        let goodbye = async {
+            self.socket.close(Some(frame)).await?;
+            poll_fn(|cx| Pin::new(self.socket.get_mut()).poll_shutdown(cx)).await?;
+            Ok::<(), tungstenite::Error>(())
+        };
+        let _ = timeout(CLOSE_TIMEOUT + self.shape.latency, goodbye).await;
     }
 
-    async fn send_due(&mut self) -> Result<(), NetError> {
-        while let Some(frame) = self.up.pop(self.now()) {
-            if self.is_over {
-                continue;
+    fn poll_delivery(&mut self, cx: &mut Context<'_>) -> Poll<Result<Delivery, NetError>> {
+        loop {
+            self.poll_send(cx)?;
+            let Some(message) = ready!(Pin::new(&mut self.socket).poll_next(cx)) else {
+                return Poll::Ready(Err(NetError::Lost("it ended".into())));
+            };
+            let message = message.map_err(broken)?;
+            self.delivered_end += frame_bytes(payload_bytes(&message));
+            match message {
+                Message::Binary(bytes) => {
+                    let delivery = Delivery { frame: bytes.into(), bytes_received: self.delivered_end };
+                    return Poll::Ready(Ok(delivery));
+                }
+                Message::Ping(_) | Message::Pong(_) => {}
+                Message::Close(Some(frame)) => {
+                    let (code, reason) = (frame.code.into(), printable(&frame.reason));
+                    return Poll::Ready(Err(NetError::Closed { code, reason }));
+                }
+                Message::Close(None) => {
+                    return Poll::Ready(Err(NetError::Closed { code: 1005, reason: "without a reason".into() }));
+                }
+                Message::Text(_) | Message::Frame(_) => {
+                    return Poll::Ready(Err(NetError::BadFrame("a frame of text".into())));
+                }
             }
-            match timeout(SEND_TIMEOUT, self.socket.send(Message::Binary(frame.into()))).await {
-                Ok(Ok(())) => {}
+        }
+    }
+
+    /// Sends what the socket takes.
+    fn poll_send(&mut self, cx: &mut Context<'_>) -> Result<(), NetError> {
+        while !self.is_over {
+            match self.poll_send_one(cx) {
+                Poll::Ready(Ok(true)) => self.stuck_since = None,
+                Poll::Ready(Ok(false)) => {
+                    self.stuck_since = None;
+                    return Ok(());
+                }
                 // The server may have said why before it went: reading on brings that out.
-                Ok(Err(error)) if is_gone(&error) => {}
-                Ok(Err(error)) => return Err(broken(error)),
-                Err(_) => return Err(NetError::Lost("the server takes no more".into())),
+                Poll::Ready(Err(error)) if is_gone(&error) => self.is_over = true,
+                Poll::Ready(Err(error)) => return Err(broken(error)),
+                Poll::Pending => {
+                    let since = *self.stuck_since.get_or_insert_with(Instant::now);
+                    let stalls = self.shape.stalls.map_or(Duration::ZERO, |stalls| stalls.length * 2);
+                    return match since.elapsed() > SEND_TIMEOUT + stalls {
+                        true => Err(NetError::Lost("the server takes no more".into())),
+                        false => Ok(()),
+                    };
+                }
             }
         }
         Ok(())
     }
 
-    fn take_due(&mut self) -> Option<Arrival> {
-        let (arrival, end) = self.down.pop(self.now())?;
-        self.delivered_end = end;
-        Some(arrival)
+    /// Sends one frame, or what was not sent of those before. `false` if there is nothing more to send.
+    fn poll_send_one(&mut self, cx: &mut Context<'_>) -> Poll<Result<bool, tungstenite::Error>> {
+        let mut socket = Pin::new(&mut self.socket);
+        ready!(socket.as_mut().poll_ready(cx))?;
+        ready!(socket.as_mut().poll_flush(cx))?;
+        let Some(frame) = self.queue.pop_front() else { return Poll::Ready(Ok(false)) };
+        self.queued_bytes -= frame.len();
+        socket.as_mut().start_send(Message::Binary(frame.into()))?;
+        Poll::Ready(Ok(true))
     }
+}
 
-    /// Puts what the socket brought into the link. `bytes` is what it took on the wire.
-    fn arrive(&mut self, bytes: u64, arrival: Arrival) {
-        self.down.push(self.now(), usize::try_from(bytes).unwrap_or(usize::MAX), (arrival, self.read_end));
-    }
-
-    fn read(&mut self, message: Option<Result<Message, tungstenite::Error>>) {
-        let (payload, arrival) = match message {
-            Some(Ok(Message::Binary(bytes))) => (bytes.len(), Arrival::Frame(bytes.into())),
-            Some(Ok(Message::Ping(bytes) | Message::Pong(bytes))) => (bytes.len(), Arrival::Control),
-            Some(Ok(Message::Close(Some(frame)))) => {
-                let (code, reason) = (frame.code.into(), printable(&frame.reason));
-                (2 + frame.reason.len(), Arrival::End(NetError::Closed { code, reason }))
-            }
-            Some(Ok(Message::Close(None))) => {
-                (0, Arrival::End(NetError::Closed { code: 1005, reason: "without a reason".into() }))
-            }
-            Some(Ok(Message::Text(_) | Message::Frame(_))) => {
-                self.is_over = true;
-                return self.arrive(0, Arrival::End(NetError::BadFrame("a frame of text".into())));
-            }
-            Some(Err(error)) => {
-                self.is_over = true;
-                return self.arrive(0, Arrival::End(broken(error)));
-            }
-            None => {
-                self.is_over = true;
-                return self.arrive(0, Arrival::End(NetError::Lost("it ended".into())));
-            }
-        };
-        self.is_over |= matches!(arrival, Arrival::End(_));
-        let bytes = frame_bytes(payload);
-        self.read_end += bytes;
-        self.arrive(bytes, arrival);
+/// Bytes that a message has after the header of its frame.
+fn payload_bytes(message: &Message) -> usize {
+    match message {
+        Message::Close(Some(frame)) => 2 + frame.reason.len(),
+        Message::Close(None) => 0,
+        other => other.len(),
     }
 }
 
@@ -308,20 +313,38 @@ pub fn block_on<F: Future>(future: F) -> io::Result<F::Output> {
     Ok(runtime.block_on(future))
 }
 
-async fn upgrade(target: &Target, shape: LinkShape) -> Result<WebSocketStream<Counted<TcpStream>>, NetError> {
-    let stream = TcpStream::connect((target.host.as_str(), target.port))
+async fn connect(target: &Target, shape: &LinkShape) -> io::Result<TcpStream> {
+    let mut failure = io::Error::new(io::ErrorKind::NotFound, "the name has no address");
+    for address in lookup_host((target.host.as_str(), target.port)).await? {
+        let socket = if address.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() }?;
+        if !shape.is_transparent() {
+            // A system that refuses keeps more, no more than that.
+            let _ = socket.set_recv_buffer_size(SHAPED_RECEIVE_BYTES);
+        }
+        match socket.connect(address).await {
+            Ok(stream) => return Ok(stream),
+            Err(error) => failure = error,
+        }
+    }
+    Err(failure)
+}
+
+async fn upgrade(target: &Target, shape: &LinkShape, start: Instant) -> Result<Socket, NetError> {
+    let stream = connect(target, shape)
         .await
         .map_err(|source| NetError::Unreachable { authority: target.authority(), source })?;
     // Frames are small and wait for nothing; without the option the socket works, only slower.
     let _ = stream.set_nodelay(true);
-    // The handshake of TCP there and back, and the request on its way.
-    sleep(shape.latency * 3).await;
+    // The handshake of TCP, there and back.
+    sleep(shape.latency * 2).await;
     let request = target.to_string().into_client_request().map_err(|error| NetError::Handshake(error.to_string()))?;
     let config = WebSocketConfig::default()
         .max_message_size(Some(MAX_FRAME_BYTES))
         .max_frame_size(Some(MAX_FRAME_BYTES))
+        .read_buffer_size(READ_BUFFER_BYTES)
         .write_buffer_size(0);
-    match client_async_with_config(request, Counted::new(stream), Some(config)).await {
+    let stream = Counted::new(Shaped::new(stream, shape, start));
+    match client_async_with_config(request, stream, Some(config)).await {
         Ok((socket, _)) => Ok(socket),
         Err(tungstenite::Error::Http(response)) if response.status() == StatusCode::NOT_FOUND => {
             Err(NetError::NoSuchModel(target.model.clone()))

@@ -189,7 +189,8 @@ fn time_ends_a_stream_that_does_not_settle() {
     });
     let mut options = options(target);
     options.until = Until::Elapsed(Duration::from_millis(150));
-    options.shape = LinkShape { rate: LinkRate::BitsPerSec(1_000_000), latency: Duration::from_millis(2) };
+    options.shape =
+        LinkShape { rate: LinkRate::BitsPerSec(1_000_000), latency: Duration::from_millis(2), ..LinkShape::default() };
     let outcome = run(&options).unwrap();
     assert!(outcome.elapsed_ms >= 150.0 && !outcome.stats.settled);
     assert_eq!(outcome.stats.batches, 1);

@@ -1,11 +1,13 @@
+use futures_util::{SinkExt, StreamExt};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_tungstenite::accept_async;
 
 use super::*;
+use crate::net::link::LinkRate;
 
-type Socket = WebSocketStream<Counted<TcpStream>>;
+type ServerSocket = WebSocketStream<Counted<TcpStream>>;
 
 async fn bind() -> (TcpListener, Target) {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
@@ -15,7 +17,7 @@ async fn bind() -> (TcpListener, Target) {
 
 /// A server that takes one WebSocket and does `serve` with it.
 async fn server<F: Future<Output = T> + Send + 'static, T: Send + 'static>(
-    serve: impl FnOnce(Socket) -> F + Send + 'static,
+    serve: impl FnOnce(ServerSocket) -> F + Send + 'static,
 ) -> (Target, JoinHandle<T>) {
     let (listener, target) = bind().await;
     let task = tokio::spawn(async move {
@@ -194,7 +196,7 @@ async fn a_shaped_link_is_at_least_as_slow_as_asked() {
         .await;
         let latency = Duration::from_millis(10);
         // 1000 bytes take 20 ms.
-        let shape = LinkShape { rate: LinkRate::BitsPerSec(400_000), latency };
+        let shape = LinkShape { rate: LinkRate::BitsPerSec(400_000), latency, ..LinkShape::default() };
         let mut connection = Connection::open(&target, shape).await.unwrap();
         assert!(connection.now().0 >= 4 * latency, "TCP and the upgrade take a round trip each");
         connection.send(vec![1]);
