@@ -20,6 +20,10 @@ use crate::ingest::hierarchy::{
 
 /// Share of the edges that a pass considers, cheapest first.
 const SHARE: f64 = 0.2;
+/// The same once there are at most [`FEW_EDGES`]. What is left then is what coarse meshes are made of, and passes over it
+/// cost next to nothing: the closer they come to the exact order of costs, the less a mesh of 1 % of the triangles strays.
+const SHARE_OF_FEW: f64 = 0.05;
+const FEW_EDGES: u32 = 1 << 16;
 /// Fewest edges that a pass considers.
 const MIN_CANDIDATES: u32 = 16;
 /// Factor on the sampled deviation and on the RMS quadric distance (ALGORITHMS section 5).
@@ -300,7 +304,8 @@ impl Simplifier {
             }
         }
         self.live_faces = live_faces;
-        let wanted = ((f64::from(open) * SHARE) as u32).max(MIN_CANDIDATES).min(open);
+        let share = if open <= FEW_EDGES { SHARE_OF_FEW } else { SHARE };
+        let wanted = ((f64::from(open) * share) as u32).max(MIN_CANDIDATES).min(open);
         let mut total = 0;
         let last = self.bins.iter().position(|&count| {
             total += count;
