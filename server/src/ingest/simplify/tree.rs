@@ -51,12 +51,15 @@ pub(crate) fn simplify(
         let nodes = mesh.chunk_count().div_ceil(FAN_IN.saturating_pow(height.into()));
         let first_op = output.collapses.len() as u32;
         let mut level = LevelWriter::new(workspace);
+        // Nodes after the last full round of all threads, if each can have two.
+        let rest = nodes % threads.max(1);
+        let helped = if 2 * rest <= threads { rest } else { 0 };
         let work = |node: u32| -> Result<Done, SpillError> {
             let part = match &below {
                 None => Part::leaf(mesh, node)?,
                 Some(below) => Part::join(mesh, height, below.children_of(node)?),
             };
-            let task = Task { height, mover, first_op, has_second_thread: nodes - node <= threads / 2 };
+            let task = Task { height, mover, first_op, has_second_thread: node >= nodes - helped };
             Ok(part.simplify(mesh, task, &mut |gone| tell(gone)))
         };
         in_order(nodes, threads, work, |_, done| {
