@@ -1,6 +1,6 @@
 //! Sequences that are too long for memory: written once from front to back, then read in ranges.
 //!
-//! A [`Workspace`] has a budget of bytes that its spills may keep in memory together; what does not fit goes to files
+//! A [`Workspace`] has a budget of bytes that its spills may keep in memory together, until they are dropped; what does not fit goes to files
 //! without a name in its directory, which the operating system removes when the process ends, however it ends. What is read
 //! back never depends on where it was kept.
 
@@ -9,6 +9,7 @@ use std::io;
 use std::marker::PhantomData;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use bytemuck::{AnyBitPattern, NoUninit};
@@ -30,15 +31,54 @@ pub struct SpillError {
 #[derive(Debug)]
 pub struct Workspace {
     directory: PathBuf,
-    /// Bytes that spills may still keep in memory.
-    budget: AtomicU64,
+    budget: Arc<Budget>,
+}
+
+/// Bytes that spills may still keep in memory.
+#[derive(Debug)]
+struct Budget(AtomicU64);
+
+impl Budget {
+    /// Takes a grain out if it is there.
+    fn reserve(&self) -> bool {
+        let grain = GRAIN as u64;
+        self.0.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(grain)).is_ok()
+    }
+}
+
+/// Bytes out of a budget, which go back when this is dropped.
+#[derive(Debug)]
+struct Reserved {
+    budget: Arc<Budget>,
+    bytes: u64,
+}
+
+impl Reserved {
+    /// Takes another grain if it is there.
+    fn grow(&mut self) -> bool {
+        let has_grown = self.budget.reserve();
+        if has_grown {
+            self.bytes += GRAIN as u64;
+        }
+        has_grown
+    }
+
+    fn give_back(&mut self) {
+        self.budget.0.fetch_add(std::mem::take(&mut self.bytes), Ordering::Relaxed);
+    }
+}
+
+impl Drop for Reserved {
+    fn drop(&mut self) {
+        self.give_back();
+    }
 }
 
 impl Workspace {
     /// Spills into nameless files of `directory`, which must exist once the first spill is larger than what is left of
     /// `memory_bytes`.
     pub fn new(directory: &Path, memory_bytes: u64) -> Self {
-        Self { directory: directory.to_owned(), budget: AtomicU64::new(memory_bytes) }
+        Self { directory: directory.to_owned(), budget: Arc::new(Budget(AtomicU64::new(memory_bytes))) }
     }
 
     /// Keeps everything in memory.
@@ -48,7 +88,8 @@ impl Workspace {
 
     /// Begins a sequence.
     pub(crate) fn spill<T: NoUninit + AnyBitPattern>(&self) -> SpillWriter<'_, T> {
-        SpillWriter { workspace: self, memory: Vec::new(), reserved: 0, file: None, written: 0 }
+        let reserved = Reserved { budget: Arc::clone(&self.budget), bytes: 0 };
+        SpillWriter { workspace: self, memory: Vec::new(), reserved, file: None, written: 0 }
     }
 
     /// A spill of `items`.
@@ -56,12 +97,6 @@ impl Workspace {
         let mut writer = self.spill();
         writer.push(items)?;
         writer.finish()
-    }
-
-    /// Takes a grain out of the budget if it is there.
-    fn reserve(&self) -> bool {
-        let grain = GRAIN as u64;
-        self.budget.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(grain)).is_ok()
     }
 
     fn failed(&self, what: &'static str) -> impl FnOnce(io::Error) -> SpillError {
@@ -77,7 +112,7 @@ pub(crate) struct SpillWriter<'w, T> {
     /// All items, or those not yet in the file.
     memory: Vec<T>,
     /// Bytes of the budget that `memory` holds.
-    reserved: u64,
+    reserved: Reserved,
     file: Option<File>,
     /// Items in the file.
     written: u64,
@@ -97,13 +132,11 @@ impl<T: NoUninit + AnyBitPattern> SpillWriter<'_, T> {
         }
         self.memory.extend_from_slice(items);
         let bytes = size_of_val(self.memory.as_slice()) as u64;
-        while self.file.is_none() && bytes > self.reserved {
-            if self.workspace.reserve() {
-                self.reserved += GRAIN as u64;
-            } else {
+        while self.file.is_none() && bytes > self.reserved.bytes {
+            if !self.reserved.grow() {
                 let file = tempfile::tempfile_in(&self.workspace.directory).map_err(self.workspace.failed("make"))?;
                 self.file = Some(file);
-                self.workspace.budget.fetch_add(std::mem::take(&mut self.reserved), Ordering::Relaxed);
+                self.reserved.give_back();
                 self.flush()?;
                 self.memory = Vec::with_capacity(GRAIN / size_of::<T>().max(1) + 1);
             }
@@ -143,7 +176,7 @@ impl<T: NoUninit + AnyBitPattern> SpillWriter<'_, T> {
             Some(file) => Items::File(file, PhantomData),
             None => Items::Memory(self.memory),
         };
-        Ok(Spill { items, len, directory })
+        Ok(Spill { items, len, directory, _reserved: self.reserved })
     }
 }
 
@@ -153,6 +186,8 @@ pub(crate) struct Spill<T> {
     items: Items<T>,
     len: u64,
     directory: PathBuf,
+    /// What `items` take of the budget.
+    _reserved: Reserved,
 }
 
 #[derive(Debug)]
@@ -304,6 +339,21 @@ mod tests {
                 .unwrap();
             assert_eq!(all, items);
         }
+    }
+
+    #[test]
+    fn what_a_spill_keeps_in_memory_is_free_again_once_it_is_dropped() {
+        let workspace = Workspace::new(&std::env::temp_dir(), GRAIN as u64);
+        let is_in_memory = |spill: &Spill<u8>| matches!(spill.items, Items::Memory(_));
+        let first = workspace.spill_of(&[1]).unwrap();
+        let second = workspace.spill_of(&[2]).unwrap();
+        assert!(is_in_memory(&first) && !is_in_memory(&second));
+        drop(second);
+        assert!(!is_in_memory(&workspace.spill_of(&[3]).unwrap()), "a file holds nothing of the budget");
+        drop(first);
+        assert!(is_in_memory(&workspace.spill_of(&[4]).unwrap()));
+        drop(workspace.spill::<u8>());
+        assert!(is_in_memory(&workspace.spill_of(&[5]).unwrap()));
     }
 
     #[test]

@@ -2,6 +2,9 @@
 
 use super::raster::Canvas;
 
+/// Most and fewest bits per channel.
+const BITS: [u32; 2] = [8, 4];
+
 /// Encodes as PNG with the best of these that stays within `max_bytes`: all the pixels with 8 bits per channel down to 4, then
 /// likewise half of them across and down, and so on. The alpha channel is the share of a pixel that is covered. Where all is
 /// grey, one channel stands for three.
@@ -9,11 +12,21 @@ pub(super) fn within(canvas: &Canvas, oversampling: u32, max_bytes: usize) -> Ve
     let mut samples = oversampling;
     loop {
         let (width, height, pixels) = resolve(canvas, samples);
-        for bits in (4..=8).rev() {
+        // Each bit more takes more bytes, so the interval is halved, once it is known that the most are too many.
+        let [mut bits, few] = BITS;
+        let (mut enough, mut too_many) = (few - 1, bits + 1);
+        let mut best = None;
+        while enough + 1 < too_many {
             let png = encode(width, height, &rounded(&pixels, bits));
             if png.len() <= max_bytes || (width, height) == (1, 1) {
-                return png;
+                (enough, best) = (bits, Some(png));
+            } else {
+                too_many = bits;
             }
+            bits = (enough + too_many).div_ceil(2);
+        }
+        if let Some(png) = best {
+            return png;
         }
         samples *= 2;
     }
@@ -71,7 +84,8 @@ fn encode(width: u32, height: u32, rgba: &[u8]) -> Vec<u8> {
     let mut encoder = png::Encoder::new(&mut out, width, height);
     encoder.set_color(kind);
     encoder.set_depth(png::BitDepth::Eight);
-    encoder.set_compression(png::Compression::High);
+    // Several tries may be needed, so each must be quick.
+    encoder.set_compression(png::Compression::Balanced);
     encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
     let mut writer = encoder.write_header().expect("a picture has pixels, and memory takes them");
     writer.write_image_data(bytes).expect("each pixel has its bytes");

@@ -11,6 +11,10 @@ use glam::DVec3;
 
 use super::{NONE, Point};
 
+/// What a distance found by a difference of squares may be off by, as a share of the squared distance to the centre: far more
+/// than it is. Where it tells that a point is not the nearest, the point need not be found.
+const FILTER_SLACK: f64 = 1e-9;
+
 /// Most samples that one vertex carries.
 const MAX_SAMPLES: usize = 8;
 
@@ -109,12 +113,17 @@ impl Star {
         if best.distance_squared <= enough {
             return best;
         }
+        let from_center = best.distance_squared;
+        let slack = from_center * FILTER_SLACK;
         let mut along = q.dot(first.to);
         for (j, spoke) in self.spokes.iter().enumerate() {
             let share = (along * spoke.inverse).clamp(0.0, 1.0);
-            let distance_squared = q.distance_squared(spoke.to * share);
-            if distance_squared < best.distance_squared {
-                best = Nearest { distance_squared, first: j, second: j, weights: [share, 0.0] };
+            let gained = share * (2.0 * along - share * spoke.length_squared);
+            if from_center - gained < best.distance_squared + slack {
+                let distance_squared = q.distance_squared(spoke.to * share);
+                if distance_squared < best.distance_squared {
+                    best = Nearest { distance_squared, first: j, second: j, weights: [share, 0.0] };
+                }
             }
             let Some(wedge) = self.wedges.get(j) else { break };
             let k = self.following(j);
@@ -125,10 +134,14 @@ impl Star {
             let v = spoke.length_squared * along_next - wedge.dot * along;
             let beyond = (u + v) * wedge.inverse > 1.0 || wedge.inverse == 0.0;
             if beyond {
-                let share = ((q - spoke.to).dot(wedge.rim) * wedge.rim_inverse).clamp(0.0, 1.0);
-                let distance_squared = (q - spoke.to).distance_squared(wedge.rim * share);
-                if distance_squared < best.distance_squared {
-                    best = Nearest { distance_squared, first: j, second: k, weights: [1.0 - share, share] };
+                // At least as far as the plane.
+                let height = q.dot(wedge.normal);
+                if height * height * wedge.inverse < best.distance_squared + slack {
+                    let share = ((q - spoke.to).dot(wedge.rim) * wedge.rim_inverse).clamp(0.0, 1.0);
+                    let distance_squared = (q - spoke.to).distance_squared(wedge.rim * share);
+                    if distance_squared < best.distance_squared {
+                        best = Nearest { distance_squared, first: j, second: k, weights: [1.0 - share, share] };
+                    }
                 }
             } else if u >= 0.0 && v >= 0.0 {
                 let height = q.dot(wedge.normal);
@@ -227,7 +240,7 @@ struct Candidate {
 ///
 /// They are copies, in blocks that collapses hand on: looking the originals up would miss the cache for nearly every one, and
 /// only vertices that something collapsed onto need a block.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Samples {
     blocks: Vec<Block>,
     /// Blocks not in use; the last one freed is likely still in the cache.
@@ -297,9 +310,15 @@ impl Samples {
         let own_t = (!moves || is_original(t)).then_some(&ends[1]);
         let own_s = (moves && is_original(s)).then_some(&ends[0]);
         let (mut worst, mut worst_color, mut reach) = (0.0f64, 0.0f64, 0.0f64);
-        for point in self.of(t).iter().chain(own_t).chain(own_s).chain(self.of(s)) {
+        let of = |v: u32| self.hinted(v);
+        let own = |point| (point, NONE);
+        for (point, hint) in of(t).chain(own_t.map(own)).chain(own_s.map(own)).chain(of(s)) {
             let q = point.at() - star.center;
-            let nearest = star.nearest(q, enough_squared);
+            let nearest = match hint {
+                NONE => None,
+                face => star.within_face(q, face, enough_squared),
+            };
+            let nearest = nearest.unwrap_or_else(|| star.nearest(q, enough_squared));
             let mut score = nearest.distance_squared;
             if on_border && point.is_boundary && !star.is_closed {
                 score = score.max(star.border_distance_squared(q));
@@ -343,13 +362,16 @@ impl Samples {
         mut reset: impl FnMut(&mut Star, u32),
     ) -> f64 {
         let mut worst = enough * enough;
+        // Bits of the faces that changed, by their numbers modulo 64: most faces are told apart by them.
+        let bit = |face: u32| 1u64 << (face % 64);
+        let changed = surroundings.changed.iter().fold(0, |bits, &face| bits | bit(face));
         for &v in surroundings.around {
             let Some(block) = self.blocks.get_mut(self.block_of[v as usize] as usize) else { continue };
             let mut is_ready = false;
             let on_border = points[v as usize].is_boundary && !star.is_closed;
             for i in 0..block.count as usize {
                 let face = block.faces[i];
-                if face != NONE && !surroundings.changed.contains(&face) {
+                if face != NONE && (changed & bit(face) == 0 || !surroundings.changed.contains(&face)) {
                     continue;
                 }
                 let point = &block.samples[i];
@@ -400,6 +422,12 @@ impl Samples {
             Some(block) => &block.samples[..block.count as usize],
             None => &[],
         }
+    }
+
+    /// The samples of a vertex, each with a face at which it was near enough, or [`NONE`].
+    fn hinted(&self, v: u32) -> impl Iterator<Item = (&Point, u32)> {
+        let block = self.blocks.get(self.block_of[v as usize] as usize);
+        block.into_iter().flat_map(|block| block.samples.iter().zip(block.faces).take(block.count as usize))
     }
 
     /// The block of `s`, be it its own, that of `t` or another; that of `t` is free otherwise.

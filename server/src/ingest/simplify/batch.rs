@@ -8,27 +8,21 @@ use glam::DVec3;
 
 use super::{
     constraint::{Examined, STAGES, Stage},
+    measure::{Behind, Chosen, Done, Measurer},
     placement::{self, Edge, Place, Placement, Volume},
     quadric::{self, Planes, Quadric},
     surface::{NONE, Site, Surface},
 };
-use crate::ingest::hierarchy::{
-    Collapse, Point,
-    bounds::{self, Carried},
-    deviation::{Samples, Star, Surroundings},
-};
+use crate::ingest::hierarchy::{Point, bounds::Carried, deviation::Samples};
 
 /// Share of the edges that a pass considers, cheapest first.
 const SHARE: f64 = 0.2;
+/// The same once there are at most [`FEW_EDGES`]. What is left then is what coarse meshes are made of, and passes over it
+/// cost next to nothing: the closer they come to the exact order of costs, the less a mesh of 1 % of the triangles strays.
+const SHARE_OF_FEW: f64 = 0.05;
+const FEW_EDGES: u32 = 1 << 16;
 /// Fewest edges that a pass considers.
 const MIN_CANDIDATES: u32 = 16;
-/// Factor on the sampled deviation and on the RMS quadric distance (ALGORITHMS section 5).
-const SAMPLED_FACTOR: f64 = 1.5;
-const RMS_FACTOR: f64 = 2.0;
-/// Factor on colour difference times diameter.
-const COLOR_FACTOR: f64 = 0.25;
-/// Errors below this many lattice steps are rounding, not shape: coplanar faces in a tilted plane.
-const SMALLEST_ERROR: f64 = 1.0 / 4096.0;
 
 /// Keys order edges by cost: the bits of a non-negative `f32`, the lowest two of them put to other use.
 const KEEPS_TARGET: u32 = 1;
@@ -53,20 +47,20 @@ pub(crate) struct Simplifier {
     first_op: u32,
     /// `None`: half-edge collapses.
     mover: Option<Mover>,
-    pub(crate) collapses: Vec<Collapse>,
-    pub(crate) carried: Vec<Carried>,
+    /// Collapses so far.
+    count: u32,
+    /// What is recorded of them; up to date but within [`Simplifier::run_ahead`].
+    pub(crate) measurer: Measurer,
+    /// Who measures instead, meanwhile.
+    behind: Option<Behind>,
     /// Per face, the collapse that removed it, or [`NONE`].
     pub(crate) removed_by: Vec<u32>,
     /// Sweeps over the mesh done.
     pub(crate) sweeps: u32,
     /// Number of the current pass over a block.
     passes: u32,
-    /// Sum over all collapses of the valence of `s` afterwards.
-    pub(crate) valence_sum: u64,
-    pub(crate) quadrics: Vec<Quadric>,
     /// Per vertex that is left.
     planes: Vec<Planes>,
-    pub(crate) samples: Samples,
     /// Key per half-edge.
     keys: Vec<u32>,
     /// Pass in which a half-edge was last found illegal.
@@ -79,15 +73,8 @@ pub(crate) struct Simplifier {
     unsorted: Vec<(u32, u32)>,
     candidates: Vec<(u32, u32)>,
     examined: Examined,
-    star: Star,
-    ring: Vec<DVec3>,
-    normals: Vec<DVec3>,
     /// Edges at the vertex just kept, as half-edges, and their other ends.
     around: Vec<(u32, u32)>,
-    /// The same at a vertex beside it.
-    edges: Vec<(u32, u32)>,
-    /// Faces that the collapse changed.
-    changed: Vec<u32>,
 }
 
 /// How vertices that stay move.
@@ -143,15 +130,13 @@ impl Simplifier {
             is_locked,
             first_op,
             mover,
-            collapses: Vec::with_capacity(vertices),
-            carried,
+            count: 0,
+            measurer: Measurer::new(carried, quadrics, samples, mover.is_some(), first_op),
+            behind: None,
             removed_by: vec![NONE; surface.face_count()],
             sweeps: 0,
             passes: 0,
-            valence_sum: 0,
-            quadrics,
             planes,
-            samples,
             keys: vec![NO_KEY; 3 * surface.face_count()],
             blocked_in: vec![0; 3 * surface.face_count()],
             changed_in: vec![0; vertices],
@@ -160,12 +145,7 @@ impl Simplifier {
             bins: vec![0; (NO_KEY >> BIN_SHIFT) as usize + 1],
             candidates: Vec::new(),
             examined: Examined::new(vertices),
-            star: Star::default(),
-            ring: Vec::new(),
-            normals: Vec::new(),
             around: Vec::new(),
-            edges: Vec::new(),
-            changed: Vec::new(),
             surface,
         };
         simplifier.renew_all_keys();
@@ -196,6 +176,21 @@ impl Simplifier {
             self.live_faces.retain(|&f| self.removed_by[f as usize] == NONE);
             progress(self.live_faces.len());
         }
+    }
+
+    /// Does `work` while another thread measures what it collapses, on a copy of the mesh; both are done when this returns.
+    pub(crate) fn run_ahead(&mut self, work: impl FnOnce(&mut Self)) {
+        std::thread::scope(|scope| {
+            let measurer = std::mem::take(&mut self.measurer);
+            let (behind, thread) = Behind::start(scope, self.surface.clone(), self.points.clone(), measurer);
+            self.behind = Some(behind);
+            work(self);
+            self.behind = None;
+            match thread.join() {
+                Ok(measurer) => self.measurer = measurer,
+                Err(panic) => std::panic::resume_unwind(panic),
+            }
+        });
     }
 
     /// Whether a face is still there.
@@ -229,14 +224,14 @@ impl Simplifier {
         for block in live_faces.chunks(BLOCK) {
             for _ in 0..PASSES_PER_SWEEP {
                 self.passes += 1;
-                let before = self.collapses.len();
+                let before = self.count;
                 self.sort_candidates(block, limit);
                 let candidates = std::mem::take(&mut self.candidates);
                 for &(key, h) in &candidates {
                     self.consider(key, h, limit, stage);
                 }
                 self.candidates = candidates;
-                if self.collapses.len() == before {
+                if self.count == before {
                     break;
                 }
             }
@@ -300,7 +295,8 @@ impl Simplifier {
             }
         }
         self.live_faces = live_faces;
-        let wanted = ((f64::from(open) * SHARE) as u32).max(MIN_CANDIDATES).min(open);
+        let share = if open <= FEW_EDGES { SHARE_OF_FEW } else { SHARE };
+        let wanted = ((f64::from(open) * share) as u32).max(MIN_CANDIDATES).min(open);
         let mut total = 0;
         let last = self.bins.iter().position(|&count| {
             total += count;
@@ -439,130 +435,71 @@ impl Simplifier {
     /// Collapses a legal site, which `examined` describes. O(valence), allocates only to grow.
     fn collapse(&mut self, site: Site, place: Option<Place>) {
         let Site { s, t, left, right } = site;
-        let op = self.first_op + self.collapses.len() as u32;
-        let Self { surface, points, ring, normals, examined, carried, .. } = self;
-        ring.clear();
-        ring.extend(examined.around.iter().map(|&v| points[v as usize].at()));
-        ring.extend(place.map(|place| placement::vector(place.at)));
-        normals.clear();
-        for &(before, after) in &examined.normals {
-            normals.push(before);
-            normals.push(after);
+        let op = self.first_op + self.count;
+        self.count += 1;
+        let before = [s, t].map(|v| self.points[v as usize]);
+        let moved = place.map(|place| moved(before, place));
+        match &mut self.behind {
+            Some(behind) => behind.push(Chosen::new(site, moved)),
+            None => self.measurer.begin(&self.surface, &self.points, site, moved, &self.examined),
         }
-        for h in [left, right].into_iter().flatten() {
-            normals.push(face_normal(surface, points, h / 3));
-        }
-        let region = bounds::merge(&carried[s as usize], &carried[t as usize], ring, normals);
-
+        let Self { surface, points, examined, .. } = self;
         let removed = [(left, site.left_apex(surface)), (right, site.right_apex(surface))]
-            .map(|(h, apex)| h.zip(apex).map(|(h, apex)| (apex, face_normal(surface, points, h / 3))));
+            .map(|(h, apex)| h.zip(apex).map(|(h, apex)| (apex, surface.face_normal(points, h / 3))));
         let outer = surface.collapse(site, &examined.arc);
         for h in [left, right].into_iter().flatten() {
             let face = h / 3;
             self.removed_by[face as usize] = op;
             self.keys[3 * face as usize..3 * face as usize + 3].fill(NO_KEY);
         }
-        let before = [s, t].map(|v| self.points[v as usize]);
-        let gone = self.quadrics[t as usize];
-        self.quadrics[s as usize].absorb(&gone, before[0].at() - before[1].at());
-        if let Some(place) = place {
-            self.move_vertex(s, before, place);
+        if let Some(moved) = moved {
+            self.points[s as usize] = moved;
         }
-        let ps = self.points[s as usize];
-        self.renew_planes(s, removed);
+        self.renew_planes(s, moved.is_some(), removed);
         self.changed_in[s as usize] = self.passes;
         self.changed_in[t as usize] = self.passes;
-        let Self { surface, around, points, .. } = self;
+        let Self { surface, around, .. } = self;
         around.clear();
         surface.for_each_edge(s, |h, v| around.push((h, v)));
-        self.star.reset(points, s, around.iter().copied());
         for i in 0..self.around.len() {
             let (h, v) = self.around[i];
             self.changed_in[v as usize] = self.passes;
             self.renew_key(h);
         }
-
-        let inherited = self.carried[s as usize].error().max(self.carried[t as usize].error());
-        let rms = RMS_FACTOR * self.quadrics[s as usize].rms();
-        let enough = inherited.max(rms) / SAMPLED_FACTOR;
-        let deviation = self.samples.merge([s, t], before, self.mover.is_some(), &self.star, enough);
-        let beside = self.measure_around(site, place.is_some(), enough.max(deviation.distance));
-        let own = rms.max(SAMPLED_FACTOR * deviation.distance.max(beside)).max(COLOR_FACTOR * deviation.color);
-        let own = if own < SMALLEST_ERROR { 0.0 } else { own };
-        let (sphere, normals) = region;
-        let children = [s, t].map(|v| self.carried[v as usize].child());
-        let stored = bounds::store(sphere, normals, own, &children);
-        let [next_of_s, first_of_t] = [s, t].map(|v| self.carried[v as usize].last);
-        self.carried[s as usize] = Carried { sphere, normals, last: op, stored };
-        self.valence_sum += u64::from(self.surface.valence(s));
-        let id = |h: Option<u32>| h.unwrap_or(NONE);
-        self.collapses.push(Collapse {
-            s,
-            t,
-            left: id(left),
-            right: id(right),
-            outer,
-            next_of_s,
-            first_of_t,
-            s_move: std::array::from_fn(|k| before[0].position[k] - ps.position[k]),
-            s_color_move: std::array::from_fn(|k| before[0].color[k].wrapping_sub(ps.color[k])),
-            bounds: stored,
-        });
+        if self.behind.is_none() {
+            let Self { surface, points, examined, around, .. } = self;
+            let has_moved = moved.is_some();
+            self.measurer.finish(Done { surface, points, site, outer, before, has_moved, around }, examined);
+        }
     }
 
     /// Renews the planes of `s` and of its neighbours after a collapse that `examined` describes. `removed` are the third corners
     /// of the removed faces and their normals.
-    fn renew_planes(&mut self, s: u32, removed: [Option<(u32, DVec3)>; 2]) {
+    fn renew_planes(&mut self, s: u32, has_moved: bool, removed: [Option<(u32, DVec3)>; 2]) {
         let Self { surface, points, planes, examined, .. } = self;
-        planes[s as usize] = Planes::around(surface, points, s);
+        let mut own = planes[s as usize];
         for (apex, normal) in removed.into_iter().flatten() {
-            planes[apex as usize].remove_face(normal);
+            let face = Planes::of_face(normal);
+            planes[apex as usize].remove(&face);
+            own.remove(&face);
         }
         for (&h, &(before, after)) in examined.arc.iter().chain(&examined.kept).zip(&examined.normals) {
             let (x, y) = quadric::others(surface, h);
+            let (before, after) = (Planes::of_face(before), Planes::of_face(after));
+            own.add(&after);
             for v in [x, y] {
-                planes[v as usize].remove_face(before);
-                planes[v as usize].add_face(after);
+                planes[v as usize].remove(&before);
+                planes[v as usize].add(&after);
             }
         }
-        // Planes of border edges change too.
+        // All faces of a vertex that moved are others, and planes of border edges change too.
+        let is_anew = has_moved || points[s as usize].is_boundary;
+        planes[s as usize] = if is_anew { Planes::around(surface, points, s) } else { own };
         surface.for_each_neighbor(s, |v| {
             if points[v as usize].is_boundary {
                 planes[v as usize] = Planes::around(surface, points, v);
             }
         });
-    }
-
-    /// Moves `s`, which stays when the ends `[s, t]` are joined, with its quadric.
-    fn move_vertex(&mut self, s: u32, ends: [Point; 2], place: Place) {
-        let [from, other] = ends;
-        self.quadrics[s as usize].carry(placement::vector(place.at) - from.at());
-        let share = placement::share([&from, &other], place.at);
-        let color = placement::color(from.color, other.color, share);
-        self.points[s as usize] = Point { position: place.at, color, is_boundary: from.is_boundary };
-    }
-
-    /// Largest distance over `enough` of the samples beside a collapse that has just been done, or 0.
-    fn measure_around(&mut self, site: Site, has_moved: bool, enough: f64) -> f64 {
-        let Self { surface, points, samples, examined, changed, edges, star, around, .. } = self;
-        let vertices = &mut examined.around;
-        changed.clear();
-        changed.extend(site.left.into_iter().chain(site.right).map(|h| h / 3));
-        if has_moved {
-            // All faces of `s` did, old and new.
-            changed.extend(surface.spokes(site.s).map(|h| h / 3));
-            vertices.clear();
-            vertices.extend(around.iter().map(|&(_, v)| v));
-        } else {
-            changed.extend(examined.arc.iter().map(|h| h / 3));
-            vertices.retain(|&v| v != site.s);
-        }
-        let surroundings = Surroundings { around: vertices, changed };
-        samples.measure_around(points, surroundings, star, enough, |star, v| {
-            edges.clear();
-            surface.for_each_edge(v, |h, w| edges.push((h, w)));
-            star.reset(points, v, edges.iter().copied());
-        })
     }
 
     fn renew_key(&mut self, h: u32) {
@@ -587,16 +524,18 @@ fn key_of(cost: f64) -> u32 {
     (cost as f32).to_bits() & !(KEEPS_TARGET | IS_BLOCKED)
 }
 
-fn face_normal(surface: &Surface, points: &[Point], face: u32) -> DVec3 {
-    let [a, b, c] = surface.corners(face).map(|v| points[v as usize].at());
-    (b - a).cross(c - a)
+/// The first of two ends after it has gone to a place.
+fn moved([from, other]: [Point; 2], place: Place) -> Point {
+    let share = placement::share([&from, &other], place.at);
+    let color = placement::color(from.color, other.color, share);
+    Point { position: place.at, color, is_boundary: from.is_boundary }
 }
 
 /// What the vertices of the complete mesh carry: their one-rings, as far as they are here.
 pub(crate) fn originals(surface: &Surface, points: &[Point]) -> Vec<Carried> {
     let units: Vec<DVec3> = (0..surface.face_count() as u32)
         .map(|face| {
-            let normal = face_normal(surface, points, face);
+            let normal = surface.face_normal(points, face);
             let length = normal.length();
             if length > 0.0 { normal / length } else { DVec3::ZERO }
         })

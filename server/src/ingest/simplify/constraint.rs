@@ -87,6 +87,13 @@ impl Examined {
             }
     }
 
+    /// Fills the fields for a collapse that was found legal on another copy of the mesh.
+    pub(crate) fn describe(&mut self, surface: &Surface, points: &[Point], site: Site, place: Option<DVec3>) {
+        let stage = Stage { max_valence_sum: u32::MAX, min_cosine: None };
+        let is_legal = self.is_legal(surface, points, site, place, [0.0; 2], &stage);
+        debug_assert!(is_legal);
+    }
+
     fn has_only_expected_neighbors(&mut self, surface: &Surface, site: Site) -> bool {
         self.tests = match self.tests.checked_add(1) {
             Some(tests) => tests,

@@ -6,12 +6,13 @@
 //! square roots in a fixed order, so the same input gives the same DAG everywhere.
 //!
 //! [`surface`] is the connectivity, [`constraint`] says what is legal, [`quadric`] what it costs, [`placement`] where it leads,
-//! [`batch`] runs the passes over one [`part`], [`tree`] leads from chunk to chunk.
+//! [`batch`] runs the passes over one [`part`], [`measure`] records what they did, [`tree`] leads from chunk to chunk.
 
 mod batch;
 mod constraint;
 #[cfg(test)]
 pub(super) mod lattice;
+mod measure;
 #[cfg(test)]
 mod order;
 mod part;

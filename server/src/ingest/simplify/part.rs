@@ -88,6 +88,18 @@ pub(super) struct Simplified {
     pub(super) valence_sum: u64,
 }
 
+/// How a part is to be simplified.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Task {
+    /// Of its node.
+    pub(super) height: u8,
+    pub(super) mover: Option<Mover>,
+    /// Number of its first collapse.
+    pub(super) first_op: u32,
+    /// Whether a thread has nothing else to do than to help. The result is the same.
+    pub(super) has_second_thread: bool,
+}
+
 /// See the module.
 pub(super) struct Part {
     /// Numbers of the vertices, ascending.
@@ -188,14 +200,8 @@ impl Part {
 
     /// Simplifies the part at this height: components that lie inside it to the end, the others to an eighth of their faces.
     /// `progress` hears how many faces are gone since it was last called.
-    pub(super) fn simplify(
-        self,
-        mesh: &ChunkedMesh,
-        height: u8,
-        mover: Option<Mover>,
-        first_op: u32,
-        progress: &mut dyn FnMut(u64),
-    ) -> Simplified {
+    pub(super) fn simplify(self, mesh: &ChunkedMesh, task: Task, progress: &mut dyn FnMut(u64)) -> Simplified {
+        let Task { height, mover, first_op, has_second_thread } = task;
         let Self { vertices, components, face_numbers, surface, state } = self;
         let is_finished = |component: u32| mesh.components.components[component as usize].height <= height;
         let component_of = |surface: &Surface, face: u32| components[surface.corners(face)[0] as usize];
@@ -203,22 +209,30 @@ impl Part {
             (0..face_numbers.len() as u32).partition(|&face| is_finished(component_of(&surface, face)));
         let mut simplifier = Simplifier::new(surface, state, mover, first_op);
         let mut tell = Countdown { told: 0, progress };
-        if !across.is_empty() {
-            let target = across.len() / SHARE_LEFT;
-            tell.to(0);
-            let total = across.len();
-            simplifier.turn_to(across);
-            simplifier.run_down_to(target, &mut |left| tell.to((total - left) as u64));
+        let work = |simplifier: &mut Simplifier| {
+            if !across.is_empty() {
+                let target = across.len() / SHARE_LEFT;
+                tell.to(0);
+                let total = across.len();
+                simplifier.turn_to(across);
+                simplifier.run_down_to(target, &mut |left| tell.to((total - left) as u64));
+            }
+            if !inside.is_empty() {
+                let total = inside.len() as f32;
+                tell.told = 0;
+                simplifier.turn_to(inside);
+                simplifier.run(&mut |share| tell.to((share * total) as u64));
+            }
+        };
+        if has_second_thread {
+            simplifier.run_ahead(work);
+        } else {
+            work(&mut simplifier);
         }
-        if !inside.is_empty() {
-            let total = inside.len() as f32;
-            tell.told = 0;
-            simplifier.turn_to(inside);
-            simplifier.run(&mut |share| tell.to((share * total) as u64));
-        }
+        let measured = &simplifier.measurer;
 
         let global = |h: u32| if h == NONE { NONE } else { 3 * face_numbers[h as usize / 3] + h % 3 };
-        let collapses = simplifier
+        let collapses = measured
             .collapses
             .iter()
             .map(|collapse| {
@@ -240,7 +254,7 @@ impl Part {
             root_vertices: Vec::new(),
             root_faces: Vec::new(),
             sweeps: simplifier.sweeps,
-            valence_sum: simplifier.valence_sum,
+            valence_sum: measured.valence_sum,
         };
         for (face, &number) in (0..).zip(&face_numbers) {
             if !simplifier.is_live(face) {
@@ -261,7 +275,7 @@ impl Part {
                 continue;
             }
             let (point, component) = (&simplifier.points[v as usize], components[v as usize]);
-            let carried = &simplifier.carried[v as usize];
+            let carried = &measured.carried[v as usize];
             if is_finished(component) {
                 result.root_vertices.push(RootVertex {
                     vertex,
@@ -273,8 +287,8 @@ impl Part {
                     stored: carried.stored,
                 });
             } else {
-                let samples = simplifier.samples.of(v);
-                let quadric = simplifier.quadrics[v as usize];
+                let samples = measured.samples.of(v);
+                let quadric = measured.quadrics[v as usize];
                 result.remainder.samples.extend(samples.iter().map(Sample::from));
                 result.remainder.survivors.push(Survivor::new(
                     vertex,
@@ -348,18 +362,49 @@ impl Survivor {
     }
 }
 
-/// Replaces vertex numbers by places in the list of all that occur, which it returns, ascending.
+/// Replaces vertex numbers by places in the list of all that occur, which it returns, ascending. O(faces + range of the
+/// numbers / 64) where they are about as dense as in a chunk, else O(faces log faces).
 fn localize(faces: &mut [[u32; 3]]) -> Vec<u32> {
     let corners = faces.as_flattened_mut();
-    let mut sorted: Vec<u64> = corners.iter().zip(0u64..).map(|(&v, i)| u64::from(v) << 32 | i).collect();
-    sorted.sort_unstable();
-    let mut vertices: Vec<u32> = Vec::new();
-    for key in sorted {
-        let v = (key >> 32) as u32;
-        if vertices.last() != Some(&v) {
-            vertices.push(v);
+    let (low, high) = corners.iter().fold((u32::MAX, 0), |(low, high), &v| (low.min(v), high.max(v)));
+    if low > high {
+        return Vec::new();
+    }
+    let words = (high - low) as usize / 64 + 1;
+    if words > corners.len() {
+        return localize_sparse(corners);
+    }
+    // A bit for each number that occurs, and how many occur before each word.
+    let mut bits = vec![0u64; words];
+    let place = |v: u32| ((v - low) as usize / 64, (v - low) % 64);
+    for &v in corners.iter() {
+        let (word, bit) = place(v);
+        bits[word] |= 1 << bit;
+    }
+    let mut before = Vec::with_capacity(words);
+    let mut vertices = Vec::with_capacity(corners.len() / 6 + 8);
+    for (word, first) in bits.iter().zip((low..).step_by(64)) {
+        before.push(vertices.len() as u32);
+        let mut left = *word;
+        while left != 0 {
+            vertices.push(first + left.trailing_zeros());
+            left &= left - 1;
         }
-        corners[key as u32 as usize] = vertices.len() as u32 - 1;
+    }
+    for v in corners {
+        let (word, bit) = place(*v);
+        *v = before[word] + (bits[word] & ((1 << bit) - 1)).count_ones();
+    }
+    vertices
+}
+
+/// The same for numbers that are far apart.
+fn localize_sparse(corners: &mut [u32]) -> Vec<u32> {
+    let mut vertices = corners.to_vec();
+    vertices.sort_unstable();
+    vertices.dedup();
+    for v in corners {
+        *v = vertices.binary_search(v).expect("it is one of them") as u32;
     }
     vertices
 }
@@ -374,4 +419,27 @@ fn surface_of(vertex_count: usize, faces: &[[u32; 3]]) -> Surface {
 fn add_borders(quadrics: &mut [Quadric], surface: &Surface, points: &[Point], heights: &[u8], height: u8) {
     let shows_at = |a: u32, b: u32| heights[a as usize].min(heights[b as usize]);
     quadric::add_borders(quadrics, surface, points, |a, b| shows_at(a, b) == height);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn corners_are_places_among_the_vertices() {
+        let mut random = fastrand::Rng::with_seed(7);
+        for (count, range) in [(0, 0..1), (1, 5..6), (3, 0..7), (500, 1000..1300), (500, 63..129), (200, 0..u32::MAX)] {
+            let faces: Vec<[u32; 3]> = (0..count).map(|_| [(); 3].map(|()| random.u32(range.clone()))).collect();
+            let mut expected = faces.as_flattened().to_vec();
+            expected.sort_unstable();
+            expected.dedup();
+            let mut places = faces.clone();
+            assert_eq!(localize(&mut places), expected, "{range:?}");
+            let back: Vec<u32> = places.as_flattened().iter().map(|&place| expected[place as usize]).collect();
+            assert_eq!(back, faces.as_flattened(), "{range:?}");
+            let mut sparse = faces.clone();
+            assert_eq!(localize_sparse(sparse.as_flattened_mut()), expected);
+            assert_eq!(sparse, places);
+        }
+    }
 }

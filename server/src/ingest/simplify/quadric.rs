@@ -140,7 +140,7 @@ impl Planes {
         for h in surface.spokes(v) {
             let (x, y) = others(surface, h);
             let normal = (at(x) - at(v)).cross(at(y) - at(v));
-            planes.add_face(normal);
+            planes.add(&Self::of_face(normal));
             for (h, from, to) in [(h, v, x), (prev(h), y, v)] {
                 if surface.twin(h).is_none() {
                     planes.add_border(normal, at(to) - at(from));
@@ -150,34 +150,39 @@ impl Planes {
         planes
     }
 
-    fn add(&mut self, n: DVec3, factor: f64) {
-        let m = n * factor;
-        let terms = [m.x * n.x, m.x * n.y, m.x * n.z, m.y * n.y, m.y * n.z, m.z * n.z];
-        for (a, term) in self.a.iter_mut().zip(terms) {
+    /// A face with this normal, twice its area long: a third of the area.
+    #[inline]
+    pub(crate) fn of_face(normal: DVec3) -> Self {
+        let length_squared = normal.length_squared();
+        if length_squared > 0.0 {
+            let area = length_squared.sqrt() / 6.0;
+            Self::of_plane(normal, weight_of(area), length_squared)
+        } else {
+            Self::default()
+        }
+    }
+
+    fn of_plane(n: DVec3, weight: f64, length_squared: f64) -> Self {
+        let m = n * (weight / length_squared);
+        Self { a: [m.x * n.x, m.x * n.y, m.x * n.z, m.y * n.y, m.y * n.z, m.z * n.z], weight }
+    }
+
+    /// Adds others at the same vertex.
+    #[inline]
+    pub(crate) fn add(&mut self, other: &Self) {
+        for (a, term) in self.a.iter_mut().zip(other.a) {
             *a += term;
         }
+        self.weight += other.weight;
     }
 
-    /// Adds a face with this normal, twice its area long: a third of the area.
+    /// Takes out what was added. Rounding leaves next to nothing, and what is left may be negative.
     #[inline]
-    pub(crate) fn add_face(&mut self, normal: DVec3) {
-        let length = normal.length();
-        if length > 0.0 {
-            let weight = weight_of(length / 6.0);
-            self.add(normal, weight / (length * length));
-            self.weight += weight;
+    pub(crate) fn remove(&mut self, other: &Self) {
+        for (a, term) in self.a.iter_mut().zip(other.a) {
+            *a -= term;
         }
-    }
-
-    /// Takes out a face that was added. Rounding leaves next to nothing, and what is left may be negative.
-    #[inline]
-    pub(crate) fn remove_face(&mut self, normal: DVec3) {
-        let length = normal.length();
-        if length > 0.0 {
-            let weight = weight_of(length / 6.0);
-            self.add(normal, -weight / (length * length));
-            self.weight = (self.weight - weight).max(0.0);
-        }
+        self.weight = (self.weight - other.weight).max(0.0);
     }
 
     /// Adds the plane at right angles to a face through its border edge.
@@ -186,8 +191,7 @@ impl Planes {
         let length_squared = side.length_squared();
         if length_squared > 0.0 {
             let weight = weight_of(BORDER_WEIGHT * along.length_squared());
-            self.add(side, weight / length_squared);
-            self.weight += weight;
+            self.add(&Self::of_plane(side, weight, length_squared));
         }
     }
 

@@ -5,6 +5,10 @@
 //! place later, which is what the split records are made of. Twins are explicit: two edges between the same pair of
 //! vertices, should they ever arise, stay apart.
 
+use glam::DVec3;
+
+use crate::ingest::hierarchy::Point;
+
 /// No half-edge, no vertex, no op.
 pub(crate) const NONE: u32 = u32::MAX;
 
@@ -21,7 +25,7 @@ pub(crate) fn prev(h: u32) -> u32 {
 }
 
 /// An oriented triangle manifold, possibly with boundary, as half-edges.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Surface {
     /// Vertex at the start of each half-edge; stale in removed faces.
     origins: Vec<u32>,
@@ -120,6 +124,12 @@ impl Surface {
     pub(crate) fn twin(&self, h: u32) -> Option<u32> {
         let twin = self.twins[h as usize];
         (twin != NONE).then_some(twin)
+    }
+
+    /// Normal of a face, twice its area long.
+    pub(crate) fn face_normal(&self, points: &[Point], face: u32) -> DVec3 {
+        let [a, b, c] = self.corners(face).map(|v| points[v as usize].at());
+        (b - a).cross(c - a)
     }
 
     #[inline]

@@ -2,12 +2,13 @@
 //!
 //! Nodes of one height touch disjoint parts of the mesh, since no collapse involves a vertex that is not inside its node. So
 //! they run in parallel, and any order of them is a valid order of the whole; that of their numbers is taken, which makes the
-//! result independent of the threads. Each face is worked on about 8/7 times.
+//! result independent of the threads. Each face is worked on about 8/7 times. Where fewer nodes are left than threads, as at
+//! the root, a second thread measures what the first collapses.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::batch::Mover;
-use super::part::{Part, Remainder, Sample, Simplified as Done, Survivor};
+use super::part::{Part, Remainder, Sample, Simplified as Done, Survivor, Task};
 use crate::ingest::{
     chunks::{ChunkedMesh, FAN_IN},
     hierarchy::{CollapseRecord, NONE, RootFace, RootVertex, Simplified},
@@ -50,12 +51,16 @@ pub(crate) fn simplify(
         let nodes = mesh.chunk_count().div_ceil(FAN_IN.saturating_pow(height.into()));
         let first_op = output.collapses.len() as u32;
         let mut level = LevelWriter::new(workspace);
+        // Nodes after the last full round of all threads, if each can have two.
+        let rest = nodes % threads.max(1);
+        let helped = if 2 * rest <= threads { rest } else { 0 };
         let work = |node: u32| -> Result<Done, SpillError> {
             let part = match &below {
                 None => Part::leaf(mesh, node)?,
                 Some(below) => Part::join(mesh, height, below.children_of(node)?),
             };
-            Ok(part.simplify(mesh, height, mover, first_op, &mut |gone| tell(gone)))
+            let task = Task { height, mover, first_op, has_second_thread: node >= nodes - helped };
+            Ok(part.simplify(mesh, task, &mut |gone| tell(gone)))
         };
         in_order(nodes, threads, work, |_, done| {
             let remainder = output.take(done?, first_op)?;

@@ -18,7 +18,7 @@ fn random_planes(rng: &mut Rng) -> Planes {
     let (first, second) = (random_vector(rng, 200.0), random_vector(rng, 200.0));
     let spread = [0.0, 5.0, 100.0][rng.usize(0..3)];
     for i in 0..6 {
-        planes.add_face(if i % 2 == 0 { first } else { second } + random_vector(rng, spread));
+        planes.add(&Planes::of_face(if i % 2 == 0 { first } else { second } + random_vector(rng, spread)));
     }
     planes
 }

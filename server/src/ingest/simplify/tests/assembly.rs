@@ -43,8 +43,8 @@ fn simplify<T>(mesh: &TriMesh, go_on: impl FnOnce(&InCore, CompleteMesh) -> T) -
         points: &simplifier.points,
         components: &components,
         root_faces: &simplifier.root_faces(),
-        collapses: &simplifier.collapses,
-        carried: &simplifier.carried,
+        collapses: &simplifier.measurer.collapses,
+        carried: &simplifier.measurer.carried,
         removed_by: &simplifier.removed_by,
     };
     go_on(&done, complete)

@@ -45,8 +45,8 @@ pub(super) fn build(mesh: &TriMesh, options: &BuildOptions) -> Result<(Dag, Buil
         points: &simplifier.points,
         components: &components,
         root_faces: &simplifier.root_faces(),
-        collapses: &simplifier.collapses,
-        carried: &simplifier.carried,
+        collapses: &simplifier.measurer.collapses,
+        carried: &simplifier.measurer.carried,
         removed_by: &simplifier.removed_by,
     });
     let splits = dag.splits.len();
@@ -74,7 +74,7 @@ pub(super) fn build(mesh: &TriMesh, options: &BuildOptions) -> Result<(Dag, Buil
         depth: shape.depth,
         parents: shape.parents,
         mean_parents: mean((0..4u64).zip(shape.parents).map(|(count, splits)| count * splits).sum()),
-        mean_valence: mean(simplifier.valence_sum),
+        mean_valence: mean(simplifier.measurer.valence_sum),
         timings: Timings::default(),
     };
     Ok((dag, report))
