@@ -83,6 +83,9 @@ struct Subject {
     sessions: Vec<Session>,
 }
 
+/// A sample with the positions of `s` and of the new vertex.
+type Placed = (Sample, [i32; 3], [i32; 3]);
+
 struct Session {
     path: String,
     /// In least squares.
@@ -90,7 +93,7 @@ struct Session {
     trace: SessionTrace,
     ops: Vec<(BatchTrace, u32)>,
     splits: u64,
-    samples: Vec<(Sample, [i32; 3], [i32; 3])>,
+    samples: Vec<Placed>,
     /// The base, and the mesh after the first batches.
     patches: Vec<Patch>,
 }
@@ -154,7 +157,7 @@ impl Session {
         Ok(patches)
     }
 
-    fn take_samples(&self) -> anyhow::Result<Vec<(Sample, [i32; 3], [i32; 3])>> {
+    fn take_samples(&self) -> anyhow::Result<Vec<Placed>> {
         let every = (self.splits as usize / SESSION_SAMPLES).max(1);
         let samples = RefCell::new(Vec::new());
         let mut count = 0;

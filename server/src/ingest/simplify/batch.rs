@@ -17,7 +17,7 @@ use crate::ingest::hierarchy::{Point, bounds::Carried, deviation::Samples};
 
 /// Share of the edges that a pass considers, cheapest first.
 const SHARE: f64 = 0.2;
-/// The same once there are at most [`FEW_EDGES`]. What is left then is what coarse meshes are made of, and passes over it
+/// The same once there are at most [`FEW_EDGES`] of components that are simplified to the end. What is left then is what coarse meshes are made of, and passes over it
 /// cost next to nothing: the closer they come to the exact order of costs, the less a mesh of 1 % of the triangles strays.
 const SHARE_OF_FEW: f64 = 0.05;
 const FEW_EDGES: u32 = 1 << 16;
@@ -59,6 +59,8 @@ pub(crate) struct Simplifier {
     pub(crate) sweeps: u32,
     /// Number of the current pass over a block.
     passes: u32,
+    /// From how few edges on a pass takes [`SHARE_OF_FEW`] of them.
+    few_edges: u32,
     /// Per vertex that is left.
     planes: Vec<Planes>,
     /// Key per half-edge.
@@ -136,6 +138,7 @@ impl Simplifier {
             removed_by: vec![NONE; surface.face_count()],
             sweeps: 0,
             passes: 0,
+            few_edges: 0,
             planes,
             keys: vec![NO_KEY; 3 * surface.face_count()],
             blocked_in: vec![0; 3 * surface.face_count()],
@@ -160,6 +163,7 @@ impl Simplifier {
     /// Collapses until no collapse is legal in any stage. `progress` hears the share of the faces that are gone.
     pub(crate) fn run(&mut self, progress: &mut dyn FnMut(f32)) {
         let faces = self.live_faces.len().max(1) as f32;
+        self.few_edges = FEW_EDGES;
         for stage in &STAGES {
             while self.sweep(stage) {
                 progress(1.0 - self.live_faces.len() as f32 / faces);
@@ -172,6 +176,7 @@ impl Simplifier {
     /// Collapses in the first stage until at most `target` faces are left or nothing is legal in it. `progress` hears how many
     /// are left.
     pub(crate) fn run_down_to(&mut self, target: usize, progress: &mut dyn FnMut(usize)) {
+        self.few_edges = 0;
         while self.live_faces.len() > target && self.sweep(&STAGES[0]) {
             self.live_faces.retain(|&f| self.removed_by[f as usize] == NONE);
             progress(self.live_faces.len());
@@ -295,7 +300,7 @@ impl Simplifier {
             }
         }
         self.live_faces = live_faces;
-        let share = if open <= FEW_EDGES { SHARE_OF_FEW } else { SHARE };
+        let share = if open <= self.few_edges { SHARE_OF_FEW } else { SHARE };
         let wanted = ((f64::from(open) * share) as u32).max(MIN_CANDIDATES).min(open);
         let mut total = 0;
         let last = self.bins.iter().position(|&count| {
