@@ -2,7 +2,7 @@
 
 use lodestream_protocol::ids::{BatchSeq, ModelHash, ViewSeq};
 use lodestream_protocol::mesh::{Cut, Fan, Patch, Replica};
-use lodestream_protocol::message::{Batch, ModelInfo, ServerMessage, Settled};
+use lodestream_protocol::message::{Batch, ModelInfo, Outcome, ServerMessage, Settled};
 use lodestream_protocol::op::{BatchEncoder, OpState, encode_base};
 use lodestream_protocol::quant::Lattice;
 use lodestream_protocol::testing::{OperationRng, base_meshes};
@@ -80,7 +80,8 @@ impl FakeServer {
         let (ops, _) = encoder.finish();
         self.seq.0 += 1;
         let digest = self.state.replica().digest() as u32;
-        Batch { seq: self.seq, view, limit, lambda_px: 2.5, digest, ops }
+        let (limit, lambda_px) = (Some(limit), Some(2.5));
+        Batch { seq: self.seq.low(), view: view.low(), limit, lambda_px, digest, outcome: None, ops }
     }
 
     pub(crate) fn batch(&mut self, view: ViewSeq, splits: usize) -> Vec<u8> {
@@ -88,7 +89,11 @@ impl FakeServer {
     }
 
     pub(crate) fn settled(&self, view: ViewSeq) -> Vec<u8> {
-        encode_server(&ServerMessage::Settled(Settled { view, seq: self.seq, error_px: 0.5, limited: true }))
+        encode_server(&ServerMessage::Settled(Settled {
+            view,
+            seq: self.seq,
+            outcome: Outcome { error_px: 0.5, limited: true },
+        }))
     }
 
     /// Goes back to the base, as the real one does after a reset.

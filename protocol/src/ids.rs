@@ -48,9 +48,28 @@ impl FaceSlot {
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default, Serialize, Deserialize)]
 pub struct BatchSeq(pub u32);
 
+impl BatchSeq {
+    /// What a batch carries of its number.
+    pub fn low(self) -> u8 {
+        self.0 as u8
+    }
+}
+
 /// Number of a view within a session, given by the client, increasing.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default, Serialize, Deserialize)]
 pub struct ViewSeq(pub u32);
+
+impl ViewSeq {
+    /// What a batch carries of the number of its view.
+    pub fn low(self) -> u16 {
+        self.0 as u16
+    }
+
+    /// The newest number up to this one whose low 16 bits are `low`.
+    pub fn newest(self, low: u16) -> Self {
+        Self(self.0.wrapping_sub(u32::from(self.low().wrapping_sub(low))))
+    }
+}
 
 /// Identity of a model: the order-independent hash of the oriented triangles of its complete, lattice-rounded mesh.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default, Serialize, Deserialize)]

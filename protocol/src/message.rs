@@ -60,7 +60,7 @@ pub enum ServerMessage {
     },
     /// Ops, see [`decode_batch`](crate::op::decode_batch).
     Batch(Batch),
-    /// The mesh is exactly what the view asks for; nothing more comes until the view changes.
+    /// The mesh is exactly what the view asks for; nothing more comes until the view changes. Sent where no batch can say so.
     Settled(Settled),
     /// Answers [`ClientMessage::Reset`]: go back to the base, an empty cache and fresh coder contexts. Batches count from 1
     /// again.
@@ -99,18 +99,31 @@ pub struct ModelInfo {
 /// Ops sent together.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Batch {
-    /// Counts from 1 after each base.
-    pub seq: BatchSeq,
-    /// The view that the ops were chosen for.
-    pub view: ViewSeq,
-    /// Triangle limit in force: the count after an op is at most this, or at most what it was before the op.
-    pub limit: u32,
-    /// Error threshold in force, in pixels (of the complete mesh's error for complete views, in lattice steps).
-    pub lambda_px: f32,
+    /// Low byte of its number, which counts from 1 after each base.
+    pub seq: u8,
+    /// Low 16 bits of the number of the view that the ops were chosen for, see [`ViewSeq::newest`].
+    pub view: u16,
+    /// Triangle limit in force: the count after an op is at most this, or at most what it was before the op. `None`: as in
+    /// the batch before; the first after a base has it.
+    pub limit: Option<u32>,
+    /// Error threshold in force, in pixels (of the complete mesh's error for complete views, in lattice steps). `None`
+    /// likewise.
+    pub lambda_px: Option<f32>,
     /// Low half of the replica's digest after the batch.
     pub digest: u32,
+    /// Whether the view is settled with this batch, and how.
+    pub outcome: Option<Outcome>,
     /// The ops.
     pub ops: Vec<u8>,
+}
+
+/// How a view settled.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Outcome {
+    /// Largest priority of an op that is not applied, in pixels (lattice steps for complete views); 0 if all are.
+    pub error_px: f32,
+    /// Whether the triangle limit kept wanted ops out.
+    pub limited: bool,
 }
 
 /// See [`ServerMessage::Settled`].
@@ -120,10 +133,8 @@ pub struct Settled {
     pub view: ViewSeq,
     /// Last batch sent.
     pub seq: BatchSeq,
-    /// Largest priority of an op that is not applied, in pixels (lattice steps for complete views); 0 if all are.
-    pub error_px: f32,
-    /// Whether the triangle limit kept wanted ops out.
-    pub limited: bool,
+    /// How.
+    pub outcome: Outcome,
 }
 
 /// Why a WebSocket was closed. The numbers are those of the close frame.

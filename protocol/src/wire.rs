@@ -7,7 +7,7 @@ use bincode::config::{Configuration, Limit, LittleEndian, Varint};
 use serde::{Serialize, de::DeserializeOwned};
 
 use crate::limits::{MAX_CLIENT_FRAME_BYTES, MAX_FRAME_BYTES};
-use crate::message::{ClientMessage, ServerMessage};
+use crate::message::{Batch, ClientMessage, Outcome, ServerMessage};
 
 /// Why a frame was refused: the peer is at fault.
 #[derive(Debug, thiserror::Error)]
@@ -62,9 +62,65 @@ pub fn decode_client(bytes: &[u8]) -> Result<ClientMessage, WireError> {
     decode::<_, MAX_CLIENT_FRAME_BYTES>(bytes)
 }
 
-/// The frame of a server's message.
+/// First byte of a batch's frame: its number among the server's messages.
+const BATCH: u8 = 1;
+const HAS_LIMIT: u8 = 1;
+const HAS_LAMBDA: u8 = 2;
+const IS_SETTLED: u8 = 4;
+const IS_LIMITED: u8 = 8;
+
+/// The frame of a server's message. Batches are most of what is sent, so they have a layout of their own.
 pub fn encode_server(message: &ServerMessage) -> Vec<u8> {
-    encode(message)
+    match message {
+        ServerMessage::Batch(batch) => encode_batch(batch),
+        message => encode(message),
+    }
+}
+
+fn encode_batch(batch: &Batch) -> Vec<u8> {
+    let mut out = Vec::with_capacity(batch.ops.len() + 21);
+    let flag = |is_set: bool, flag: u8| if is_set { flag } else { 0 };
+    let flags = flag(batch.limit.is_some(), HAS_LIMIT)
+        | flag(batch.lambda_px.is_some(), HAS_LAMBDA)
+        | flag(batch.outcome.is_some(), IS_SETTLED)
+        | flag(batch.outcome.is_some_and(|outcome| outcome.limited), IS_LIMITED);
+    out.extend([BATCH, flags, batch.seq]);
+    out.extend(batch.view.to_le_bytes());
+    out.extend(batch.digest.to_le_bytes());
+    out.extend(batch.limit.iter().flat_map(|limit| limit.to_le_bytes()));
+    out.extend(batch.lambda_px.iter().flat_map(|lambda| lambda.to_le_bytes()));
+    out.extend(batch.outcome.iter().flat_map(|outcome| outcome.error_px.to_le_bytes()));
+    out.extend(&batch.ops);
+    out
+}
+
+fn decode_batch(bytes: &[u8]) -> Option<Batch> {
+    let (head, mut rest) = bytes.split_at_checked(9)?;
+    let flags = head[1];
+    if flags >= 2 * IS_LIMITED || flags & IS_LIMITED != 0 && flags & IS_SETTLED == 0 {
+        return None;
+    }
+    let mut word = |flag: u8| {
+        if flags & flag == 0 {
+            return Some(None);
+        }
+        let (word, after) = rest.split_first_chunk::<4>()?;
+        rest = after;
+        Some(Some(*word))
+    };
+    let limit = word(HAS_LIMIT)?.map(u32::from_le_bytes);
+    let lambda_px = word(HAS_LAMBDA)?.map(f32::from_le_bytes);
+    let error_px = word(IS_SETTLED)?.map(f32::from_le_bytes);
+    let limited = flags & IS_LIMITED != 0;
+    Some(Batch {
+        seq: head[2],
+        view: u16::from_le_bytes([head[3], head[4]]),
+        digest: u32::from_le_bytes([head[5], head[6], head[7], head[8]]),
+        limit,
+        lambda_px,
+        outcome: error_px.map(|error_px| Outcome { error_px, limited }),
+        ops: rest.to_vec(),
+    })
 }
 
 /// The message of a server's frame.
@@ -72,14 +128,17 @@ pub fn encode_server(message: &ServerMessage) -> Vec<u8> {
 /// # Errors
 /// [`WireError`].
 pub fn decode_server(bytes: &[u8]) -> Result<ServerMessage, WireError> {
-    decode::<_, MAX_FRAME_BYTES>(bytes)
+    if bytes.first() != Some(&BATCH) || bytes.len() > MAX_FRAME_BYTES {
+        return decode::<_, MAX_FRAME_BYTES>(bytes);
+    }
+    decode_batch(bytes).map(ServerMessage::Batch).ok_or_else(|| WireError::Malformed("a batch's head".into()))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::ids::{BatchSeq, ViewSeq};
-    use crate::message::{Batch, Hello, Settled};
+    use crate::message::{Hello, Settled};
     use crate::view::View;
     use glam::DVec3;
 
@@ -110,16 +169,18 @@ mod tests {
             bytes.truncate(bytes.len() - 2);
             assert!(decode_client(&bytes).is_err());
         }
-        let settled = Settled { view: ViewSeq(3), seq: BatchSeq(9), error_px: 0.5, limited: true };
-        let batch = Batch {
-            seq: BatchSeq(1),
-            view: ViewSeq(2),
-            limit: 1000,
-            lambda_px: 1.0,
-            digest: 0xdead_beef,
-            ops: vec![1, 2, 3],
-        };
-        for message in [ServerMessage::Batch(batch), ServerMessage::Settled(settled), ServerMessage::Restart] {
+        let outcome = Outcome { error_px: 0.5, limited: true };
+        let terse =
+            Batch { seq: 1, view: 2, limit: None, lambda_px: None, digest: 77, outcome: None, ops: vec![1, 2, 3] };
+        let full =
+            Batch { limit: Some(1000), lambda_px: Some(1.0), outcome: Some(outcome), ops: Vec::new(), ..terse.clone() };
+        let settled = Settled { view: ViewSeq(3), seq: BatchSeq(9), outcome };
+        for message in [
+            ServerMessage::Batch(terse),
+            ServerMessage::Batch(full),
+            ServerMessage::Settled(settled),
+            ServerMessage::Restart,
+        ] {
             assert_eq!(decode_server(&encode_server(&message)).unwrap(), message);
         }
     }
@@ -134,8 +195,12 @@ mod tests {
             let _ = decode_server(&bytes);
         }
         // A length near the end of the address space must not allocate.
-        let mut huge = vec![1, 1, 1, 253];
+        let mut huge = vec![0, 253];
         huge.extend([0xff; 8]);
         assert!(decode_server(&huge).is_err());
+        // Flags that mean nothing, a head that ends early.
+        assert!(decode_server(&[1, 16, 1, 0, 0, 0, 0, 0, 0]).is_err());
+        assert!(decode_server(&[1, 8, 1, 0, 0, 0, 0, 0, 0]).is_err());
+        assert!(decode_server(&[1, 1, 1, 0, 0, 0, 0, 0, 0, 5, 0, 0]).is_err());
     }
 }

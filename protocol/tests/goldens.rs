@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use glam::DVec3;
 use lodestream_protocol::ids::{BatchSeq, ModelHash, VertexSlot, ViewSeq};
 use lodestream_protocol::mesh::{Cut, NewVertex, Patch};
-use lodestream_protocol::message::{Batch, ClientMessage, Hello, ModelInfo, ServerMessage, Settled};
+use lodestream_protocol::message::{Batch, ClientMessage, Hello, ModelInfo, Outcome, ServerMessage, Settled};
 use lodestream_protocol::op::{BatchEncoder, OpState, canonical_order, decode_base, decode_batch, encode_base};
 use lodestream_protocol::quant::Lattice;
 use lodestream_protocol::view::{Projection, View};
@@ -135,7 +135,11 @@ fn server_messages() -> Vec<(&'static str, ServerMessage)> {
         ("welcome.hex", ServerMessage::Welcome { model, cache_entries: 8, base: encode_base(&base(), 10, true) }),
         (
             "settled.hex",
-            ServerMessage::Settled(Settled { view: ViewSeq(1), seq: BatchSeq(3), error_px: 0.5, limited: true }),
+            ServerMessage::Settled(Settled {
+                view: ViewSeq(1),
+                seq: BatchSeq(3),
+                outcome: Outcome { error_px: 0.5, limited: true },
+            }),
         ),
         ("restart.hex", ServerMessage::Restart),
     ];
@@ -143,7 +147,11 @@ fn server_messages() -> Vec<(&'static str, ServerMessage)> {
     for ((seq, ops), name) in (1..).zip(batches()).zip(["batch_1.hex", "batch_2.hex", "batch_3.hex"]) {
         decode_batch(&ops, &mut state, 100).unwrap();
         let digest = state.replica().digest() as u32;
-        let batch = Batch { seq: BatchSeq(seq), view: ViewSeq(1), limit: 100, lambda_px: 1.0, digest, ops };
+        // The first says what holds, the last that the view is settled.
+        let first = seq == 1;
+        let (limit, lambda_px) = (first.then_some(100), first.then_some(1.0));
+        let outcome = (seq == 3).then_some(Outcome { error_px: 0.25, limited: false });
+        let batch = Batch { seq, view: ViewSeq(1).low(), limit, lambda_px, digest, outcome, ops };
         messages.push((name, ServerMessage::Batch(batch)));
     }
     messages
@@ -175,10 +183,11 @@ fn the_v2_session_still_decodes() {
     };
     let base = decode_base(&base, model.lattice.bits, model.has_colors).unwrap();
     let mut state = OpState::new(&base, model.lattice.bits, model.has_colors, model.has_moves, cache_entries).unwrap();
-    let mut triangles = Vec::new();
+    let (mut triangles, mut limit) = (Vec::new(), 0);
     for name in ["batch_1.hex", "batch_2.hex", "batch_3.hex"] {
         let ServerMessage::Batch(batch) = decode_server(&golden(name)).unwrap() else { panic!("{name} is no batch") };
-        decode_batch(&batch.ops, &mut state, batch.limit).unwrap();
+        limit = batch.limit.unwrap_or(limit);
+        decode_batch(&batch.ops, &mut state, limit).unwrap();
         assert_eq!(state.replica().digest() as u32, batch.digest, "{name}");
         triangles.push(state.replica().triangle_count());
     }

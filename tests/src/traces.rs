@@ -4,7 +4,7 @@
 use glam::DVec3;
 use lodestream_client::core::ClientConfig;
 use lodestream_protocol::mesh::Patch;
-use lodestream_protocol::message::{Batch, ServerMessage};
+use lodestream_protocol::message::ServerMessage;
 use lodestream_protocol::op::{
     BatchTrace, Breakdown, DecodeError, OpState, decode_base, decode_batch, decode_batch_measured, decode_batch_traced,
 };
@@ -72,6 +72,15 @@ impl Path {
     }
 }
 
+/// One batch as sent.
+#[derive(Clone, Debug)]
+pub struct SentBatch {
+    /// Its ops.
+    pub ops: Vec<u8>,
+    /// Triangle limit in force.
+    pub limit: u32,
+}
+
 /// One session, from the welcome on.
 #[derive(Clone, Debug)]
 pub struct SessionTrace {
@@ -94,7 +103,7 @@ pub struct SessionTrace {
     /// Capacity of the op cache.
     pub cache_entries: u32,
     /// The batches as sent.
-    pub batches: Vec<Batch>,
+    pub batches: Vec<SentBatch>,
 }
 
 impl SessionTrace {
@@ -122,7 +131,7 @@ impl SessionTrace {
     /// If they are no session.
     pub fn of_frames(frames: &[Vec<u8>]) -> Self {
         let mut trace: Option<Self> = None;
-        let mut batches = Vec::new();
+        let (mut batches, mut limit) = (Vec::new(), 0);
         for frame in frames {
             match wire::decode_server(frame).expect("the server sends valid frames") {
                 ServerMessage::Welcome { model, cache_entries, base } => {
@@ -139,7 +148,10 @@ impl SessionTrace {
                         batches: Vec::new(),
                     });
                 }
-                ServerMessage::Batch(batch) => batches.push(batch),
+                ServerMessage::Batch(batch) => {
+                    limit = batch.limit.unwrap_or(limit);
+                    batches.push(SentBatch { ops: batch.ops, limit });
+                }
                 ServerMessage::Settled(_) => {}
                 ServerMessage::Restart => panic!("the two ends disagreed"),
             }
@@ -161,7 +173,7 @@ impl SessionTrace {
     /// If a batch does not decode.
     pub fn ops(&self) -> Result<Vec<(BatchTrace, u32)>, DecodeError> {
         let mut state = self.start();
-        let traced = |batch: &Batch| Ok((decode_batch_traced(&batch.ops, &mut state, batch.limit)?, batch.limit));
+        let traced = |batch: &SentBatch| Ok((decode_batch_traced(&batch.ops, &mut state, batch.limit)?, batch.limit));
         self.batches.iter().map(traced).collect()
     }
 

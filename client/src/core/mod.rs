@@ -124,6 +124,9 @@ pub struct ClientSession {
     /// Newest batch applied since the base.
     applied: BatchSeq,
     applied_view: Option<ViewSeq>,
+    /// Limit and threshold that batches are under until one says otherwise.
+    limit: Option<u32>,
+    lambda_px: Option<f32>,
     ack_due: Option<BatchSeq>,
     reset_due: Option<BatchSeq>,
     /// Set from a disagreement until the server's restart; ops mean nothing then.
@@ -147,6 +150,8 @@ impl ClientSession {
             inbox: Inbox::default(),
             applied: BatchSeq(0),
             applied_view: None,
+            limit: None,
+            lambda_px: None,
             ack_due: None,
             reset_due: None,
             awaits_restart: false,
@@ -341,6 +346,7 @@ impl ClientSession {
         self.generation = self.generation.wrapping_add(1);
         self.awaits_restart = false;
         self.applied = BatchSeq(0);
+        (self.limit, self.lambda_px) = (None, None);
         self.batches_since_reset = 0;
         // Batches before the restart are of no interest any more, and their numbers come again.
         self.ack_due = None;
@@ -351,22 +357,23 @@ impl ClientSession {
 
     fn apply(&mut self, now: Timestamp, batch: &Batch) -> Result<u32, ClientError> {
         let next = BatchSeq(self.applied.0.wrapping_add(1));
+        self.limit = batch.limit.or(self.limit);
+        self.lambda_px = batch.lambda_px.or(self.lambda_px);
         let state = &mut self.model.as_mut().expect("the inbox opens with the welcome").state;
-        if batch.seq != next {
-            return self.disagree(batch.seq);
-        }
-        let result = decode_batch(&batch.ops, state, batch.limit);
+        let Some(limit) = self.limit.filter(|_| batch.seq == next.low()) else { return self.disagree(next) };
+        let result = decode_batch(&batch.ops, state, limit);
         let digest = state.replica().digest() as u32;
         let counts = match result {
             Ok(counts) if digest == batch.digest => counts,
             _ => {
                 self.note_mesh(now);
-                return self.disagree(batch.seq);
+                return self.disagree(next);
             }
         };
-        self.applied = batch.seq;
-        self.applied_view = Some(batch.view);
-        self.ack_due = Some(batch.seq);
+        self.applied = next;
+        let view = self.current.as_ref().map_or(ViewSeq(0), |current| current.seq.newest(batch.view));
+        self.applied_view = Some(view);
+        self.ack_due = Some(next);
         self.batches_since_reset = self.batches_since_reset.saturating_add(1);
         if self.batches_since_reset >= FORGIVING_BATCHES {
             self.resets_in_a_row = 0;
@@ -374,14 +381,17 @@ impl ClientSession {
         self.stats.count(batch.ops.len(), &counts);
         // Ops after a settled state are on the way to another one, whichever view they were chosen for.
         self.unsettle();
-        self.stats.error_px = Some(batch.lambda_px);
+        self.stats.error_px = self.lambda_px;
         if let Some(current) = &self.current
-            && current.seq == batch.view
+            && current.seq == view
             && self.stats.view_latency_ms.is_none()
         {
             self.stats.view_latency_ms = Some(now.since(current.set_at).as_secs_f64() * 1e3);
         }
         self.note_mesh(now);
+        if let Some(outcome) = batch.outcome {
+            self.settle(now, Settled { view, seq: next, outcome })?;
+        }
         Ok(counts.total())
     }
 
@@ -395,8 +405,8 @@ impl ClientSession {
         }
         self.settled = Some(settled);
         self.stats.settled = true;
-        self.stats.limited = settled.limited;
-        self.stats.error_px = Some(settled.error_px);
+        self.stats.limited = settled.outcome.limited;
+        self.stats.error_px = Some(settled.outcome.error_px);
         self.stats.settled_ms = Some(stats::millis(now));
         self.note_mesh(now);
         Ok(())

@@ -87,7 +87,7 @@ fn only_the_newest_view_settles() {
     let (mut session, mut server) = welcomed(ClientConfig::default());
     session.handle_frame(at(20), &server.batch(ViewSeq(1), 4)).unwrap();
     session.handle_frame(at(21), &server.settled(ViewSeq(1))).unwrap();
-    assert_eq!(session.settled().unwrap().error_px, 0.5);
+    assert_eq!(session.settled().unwrap().outcome.error_px, 0.5);
     let stats = session.stats();
     assert!(stats.settled && stats.limited);
     assert_eq!((stats.settled_ms, stats.error_px), (Some(21.0), Some(0.5)));
@@ -154,7 +154,7 @@ fn check_recovery(damage: impl FnOnce(&mut Batch)) {
     sent(&mut session, at(20));
     let mut batch = server.batch_message(ViewSeq(1), false, 8);
     damage(&mut batch);
-    let seq = batch.seq;
+    let seq = BatchSeq(2);
     session.handle_frame(at(21), &encode_server(&ServerMessage::Batch(batch))).unwrap();
     assert_eq!(sent(&mut session, at(21)), [ClientMessage::Reset { seq }]);
     assert_eq!(session.stats().resets, 1);
@@ -190,12 +190,12 @@ fn a_batch_that_does_not_decode_asks_for_a_reset() {
 
 #[test]
 fn a_batch_over_its_limit_asks_for_a_reset() {
-    check_recovery(|batch| batch.limit = 5);
+    check_recovery(|batch| batch.limit = Some(5));
 }
 
 #[test]
 fn a_gap_in_the_numbers_asks_for_a_reset() {
-    check_recovery(|batch| batch.seq.0 += 1);
+    check_recovery(|batch| batch.seq += 1);
 }
 
 #[test]

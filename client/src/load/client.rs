@@ -272,8 +272,8 @@ impl<'a> Client<'a> {
             self.counters.views_settled += 1;
             let mut totals = self.shared.lock();
             totals.view_to_settled.add(micros(now.since(watched.set_at)));
-            totals.settled_error.add((f64::from(settled.error_px) * 1e6) as u64);
-            totals.limited += u64::from(settled.limited);
+            totals.settled_error.add((f64::from(settled.outcome.error_px) * 1e6) as u64);
+            totals.limited += u64::from(settled.outcome.limited);
             if !self.has_settled {
                 self.has_settled = true;
                 totals.first_settled.add(micros(now.0));

@@ -26,7 +26,9 @@ use std::time::Duration;
 use lodestream_protocol::ids::{BatchSeq, ViewSeq};
 use lodestream_protocol::limits::MAX_OPS_PER_BATCH;
 use lodestream_protocol::mesh::{Replica, SlotSet};
-use lodestream_protocol::message::{Batch, ClientMessage, CloseCode, Hello, PROTOCOL_VERSION, ServerMessage, Settled};
+use lodestream_protocol::message::{
+    Batch, ClientMessage, CloseCode, Hello, Outcome, PROTOCOL_VERSION, ServerMessage, Settled,
+};
 use lodestream_protocol::op::encode_base;
 use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::View;
@@ -156,6 +158,8 @@ struct Running {
     mirror: Mirror,
     pacer: Pacer,
     last_seq: BatchSeq,
+    /// Limit and threshold as the last batch left them, which the next one need not repeat.
+    told: Option<(u32, f32)>,
     view: Option<CurrentView>,
     work: Option<Work>,
 }
@@ -266,6 +270,7 @@ impl Session {
                 running.mirror = Mirror::new(&self.model, running.cache_entries)?;
                 running.pacer.restart(now);
                 running.last_seq = BatchSeq(0);
+                running.told = None;
                 running.work = None;
                 self.control.push_back(ServerMessage::Restart);
                 Ok(())
@@ -308,12 +313,16 @@ impl Session {
             self.stats.collapses += u64::from(counts.collapses);
             self.stats.spawns += u64::from(counts.spawns + counts.despawns);
             let seq = running.last_seq;
+            work.has_settled = work.is_done();
+            let in_force = (current.view.triangle_limit, work.lambda);
+            let before = running.told.replace(in_force);
             let message = ServerMessage::Batch(Batch {
-                seq,
-                view: current.seq,
-                limit: current.view.triangle_limit,
-                lambda_px: work.lambda,
+                seq: seq.low(),
+                view: current.seq.low(),
+                limit: before.is_none_or(|told| told.0 != in_force.0).then_some(in_force.0),
+                lambda_px: before.is_none_or(|told| told.1 != in_force.1).then_some(in_force.1),
                 digest: running.mirror.replica().digest() as u32,
+                outcome: work.has_settled.then_some(work.outcome()),
                 ops,
             });
             let frame = wire::encode_server(&message);
@@ -325,12 +334,8 @@ impl Session {
             return Ok(None);
         }
         work.has_settled = true;
-        let message = ServerMessage::Settled(Settled {
-            view: current.seq,
-            seq: running.last_seq,
-            error_px: work.error,
-            limited: work.is_limited,
-        });
+        let message =
+            ServerMessage::Settled(Settled { view: current.seq, seq: running.last_seq, outcome: work.outcome() });
         Ok(Some(self.frame(&message)))
     }
 
@@ -385,6 +390,7 @@ impl Session {
             mirror: Mirror::new(&self.model, cache_entries)?,
             pacer: Pacer::new(self.config.max_window_bytes, hello.byte_rate, now),
             last_seq: BatchSeq(0),
+            told: None,
             view: None,
             work: None,
         });
@@ -436,6 +442,10 @@ impl Work {
             missing: selection.missing,
             has_settled: false,
         })
+    }
+
+    fn outcome(&self) -> Outcome {
+        Outcome { error_px: self.error, limited: self.is_limited }
     }
 
     fn is_done(&self) -> bool {

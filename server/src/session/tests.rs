@@ -32,7 +32,7 @@ fn drain(session: &mut Session) -> usize {
     while let Some(frame) = session.poll_transmit(Timestamp::default()).unwrap() {
         bytes += frame.len();
         if let ServerMessage::Batch(batch) = wire::decode_server(&frame).unwrap() {
-            let ack = wire::encode_client(&ClientMessage::Ack { seq: batch.seq });
+            let ack = wire::encode_client(&ClientMessage::Ack { seq: BatchSeq(u32::from(batch.seq)) });
             session.handle_frame(Timestamp::default(), &ack).unwrap();
         }
     }
