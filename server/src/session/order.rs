@@ -1,11 +1,11 @@
 //! The order in which the ops of a selection are sent.
 //!
-//! What matters more comes first, but only by bands of importance: within a band ops go by id, and ids of one size of error
-//! run along the Morton curve. Ops of a batch then lie close together, so their slots do too, and naming them costs fewer bits
-//! the less of the mesh the batch is. A mesh never waits for more than one band to have all of what is twice as important.
+//! What matters more comes first, but only by bands of importance, a factor of two wide: within a band first the components by
+//! priority, then the splits along the Morton curve. Splits of a batch then lie close together, so their slots do too, and
+//! naming them costs fewer bits the less of the mesh the batch is. A mesh never waits for more than one band to have all of
+//! what is twice as important.
 
 use super::select::{OpSet, Selection};
-use crate::pack::record::NO_OP;
 use crate::pack::{PackError, PackedModel};
 
 /// Ops of a selection that are not applied yet, parents before children. O(n log n) for n ops.
@@ -26,7 +26,12 @@ pub(super) fn sending_order(
     for end in ends.chain([selection.ops.len()]) {
         band.clear();
         for &op in selection.ops[start..end].iter().filter(|&&op| !is_applied(op)) {
-            band.push((morton(model.bounds(op)?.center), op));
+            // Components arrive by their size: they are named by number in any case.
+            if op < model.spawn_count() {
+                out.push(op);
+            } else {
+                band.push((morton(model.bounds(op)?.center), op));
+            }
         }
         start = end;
         band.sort_unstable();
@@ -57,8 +62,7 @@ fn enter(
     op: u32,
 ) -> Result<(), PackError> {
     if waiting.remove(&op) {
-        let (parents, _) = if op < model.spawn_count() { ([NO_OP; 3], 0) } else { model.parents(op)? };
-        stack.push((op, parents, 0));
+        stack.push((op, model.parents(op)?.0, 0));
     }
     Ok(())
 }
@@ -74,4 +78,51 @@ fn morton(point: [i32; 3]) -> u64 {
         (x | x << 2) & 0x1249_2492_4924_9249
     };
     spread(point[0]) | spread(point[1]) << 1 | spread(point[2]) << 2
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
+
+    use super::*;
+    use crate::pack::testing::{DagOptions, random_dag};
+    use crate::pack::{Metadata, write_to_vec};
+    use crate::session::score::Scorer;
+    use crate::session::select::{PageAccess, select};
+
+    #[test]
+    fn parents_come_first_and_bands_stay_apart() {
+        for seed in 0..6 {
+            let (dag, complete) = random_dag(&DagOptions { splits: 2000, seed, ..DagOptions::default() });
+            let model = PackedModel::from_vec(write_to_vec(&dag, &complete, &Metadata::default()).unwrap()).unwrap();
+            let info = model.info();
+            let middle = glam::DVec3::from_array(info.lattice.origin) + glam::DVec3::splat(500.0 * info.lattice.step);
+            let mut view = View::perspective(middle + glam::DVec3::splat(1000.0 * info.lattice.step), middle, 0.9);
+            (view.tolerance_px, view.two_sided) = (0.0, true);
+            let scorer = if seed % 2 == 0 { Scorer::complete() } else { Scorer::new(&view, model.info()) };
+            let selection = select(&model, &scorer, UNLIMITED_TRIANGLES, PageAccess::Blocking).unwrap();
+            let is_applied = |op: u32| op % 7 == seed as u32 && op % 3 == 0;
+            let order = sending_order(&model, &selection, is_applied).unwrap();
+            let pending: BTreeSet<u32> = selection.ops.iter().copied().filter(|&op| !is_applied(op)).collect();
+            assert_eq!(order.iter().copied().collect::<BTreeSet<u32>>(), pending);
+            assert_eq!(order.len(), pending.len(), "none comes twice");
+            let rank = |op: u32| order.iter().position(|&other| other == op);
+            let mut ends = selection.band_ends.clone();
+            ends.push(selection.ops.len());
+            let band_of = |op: u32| {
+                let at = selection.ops.iter().position(|&other| other == op).unwrap();
+                ends.iter().position(|&end| at < end).unwrap()
+            };
+            assert!(order.windows(2).all(|pair| band_of(pair[0]) <= band_of(pair[1])));
+            for &op in order.iter().filter(|&&op| op >= model.spawn_count()) {
+                let (parents, count) = model.parents(op).unwrap();
+                for &parent in &parents[..count] {
+                    assert!(is_applied(parent) || rank(parent) < rank(op), "seed {seed}: {parent} after {op}");
+                }
+            }
+            assert!(ends.len() > 3, "one band tells nothing: {ends:?}");
+        }
+    }
 }
