@@ -103,14 +103,15 @@ impl Share {
 }
 
 /// The lossless YCoCg-R transform.
-fn to_ycocg([r, g, b]: [i32; 3]) -> [i32; 3] {
+pub(super) fn to_ycocg([r, g, b]: [i32; 3]) -> [i32; 3] {
     let co = r - b;
     let t = b + (co >> 1);
     let cg = g - t;
     [t + (cg >> 1), co, cg]
 }
 
-fn from_ycocg([y, co, cg]: [i32; 3]) -> [i32; 3] {
+/// Its reverse; total on any numbers.
+pub(super) fn from_ycocg([y, co, cg]: [i32; 3]) -> [i32; 3] {
     let t = y.wrapping_sub(cg >> 1);
     let g = cg.wrapping_add(t);
     let b = t.wrapping_sub(co >> 1);

@@ -3,6 +3,7 @@
 pub mod audit;
 pub(crate) mod edges;
 pub mod export;
+pub(crate) mod morton;
 
 /// An indexed triangle mesh as readers produce it and exporters write it.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -6,6 +6,7 @@
 //! what is twice as important.
 
 use super::select::{OpSet, Selection};
+use crate::mesh::morton::morton;
 use crate::pack::{PackError, PackedModel};
 
 /// Ops of a selection that are not applied yet, parents before children. O(n log n) for n ops.
@@ -30,7 +31,7 @@ pub(super) fn sending_order(
             if op < model.spawn_count() {
                 out.push(op);
             } else {
-                band.push((morton(model.bounds(op)?.center), op));
+                band.push((morton(model.bounds(op)?.center, model.info().lattice.max_coordinate()), op));
             }
         }
         start = end;
@@ -65,19 +66,6 @@ fn enter(
         stack.push((op, model.parents(op)?.0, 0));
     }
     Ok(())
-}
-
-/// Place of a point of the lattice along the Morton curve.
-fn morton(point: [i32; 3]) -> u64 {
-    let spread = |x: i32| {
-        let mut x = u64::from(x.clamp(0, (1 << 21) - 1) as u32);
-        x = (x | x << 32) & 0x001f_0000_0000_ffff;
-        x = (x | x << 16) & 0x001f_0000_ff00_00ff;
-        x = (x | x << 8) & 0x100f_00f0_0f00_f00f;
-        x = (x | x << 4) & 0x10c3_0c30_c30c_30c3;
-        (x | x << 2) & 0x1249_2492_4924_9249
-    };
-    spread(point[0]) | spread(point[1]) << 1 | spread(point[2]) << 2
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@
 //! the lattice.
 
 use super::Malformed;
+use crate::op::color::{from_ycocg, to_ycocg};
 use crate::op::range_coder::{BitCoder, NumberModel, Prob, TreeModel, contexts, raw_bits};
 
 /// Added to the difference of two bit lengths, so that it is never negative.
@@ -196,19 +197,4 @@ pub(super) fn bend(a: [i32; 3], b: [i32; 3], d: [i32; 3], x: Option<[i32; 3]>) -
 pub(super) fn to_middle(a: [i32; 3], b: [i32; 3], v: [i32; 3]) -> u64 {
     // At most 23 bits each.
     (0..3).map(|k| i64::from(a[k] + b[k] - 2 * v[k])).map(|d| (d * d) as u64).sum()
-}
-
-/// YCoCg-R: lossless on integers.
-fn to_ycocg([r, g, b]: [i32; 3]) -> [i32; 3] {
-    let co = r - b;
-    let t = b + (co >> 1);
-    let cg = g - t;
-    [t + (cg >> 1), co, cg]
-}
-
-fn from_ycocg([y, co, cg]: [i32; 3]) -> [i32; 3] {
-    let t = y.wrapping_sub(cg >> 1);
-    let g = cg.wrapping_add(t);
-    let b = t.wrapping_sub(co >> 1);
-    [b.wrapping_add(co), g, b]
 }

@@ -3,7 +3,6 @@
 use lodestream_protocol::op::canonical_order;
 use lodestream_protocol::quant::Lattice;
 
-pub(crate) use super::order::morton;
 use super::{
     Collapse, NONE, Point,
     assembly::Shape,
@@ -11,6 +10,7 @@ use super::{
     components::Components,
     order::error_band,
 };
+use crate::mesh::morton::morton;
 use crate::pack::record::{Bounds, CutRef, Dag, NO_OP, Patch, SpawnRecord, SplitRecord};
 
 /// A finished simplification.

@@ -12,9 +12,10 @@ use lodestream_protocol::quant::{Lattice, MAX_LATTICE_BITS};
 use super::Limits;
 use super::runs::{Runs, blocks_in_order, in_order};
 use super::scan::{Usage, plain};
-use crate::ingest::hierarchy::{NONE, order::morton};
+use crate::ingest::hierarchy::NONE;
 use crate::ingest::raw::RawMesh;
 use crate::ingest::spill::{Spill, SpillError, SpillWriter, Workspace};
+use crate::mesh::morton::morton;
 
 /// Bits of a digit.
 const DIGIT: u32 = 16;

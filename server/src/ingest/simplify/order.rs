@@ -3,7 +3,8 @@
 
 use glam::DVec3;
 
-use crate::ingest::hierarchy::{Point, forest::morton};
+use crate::ingest::hierarchy::Point;
+use crate::mesh::morton::morton;
 
 /// Bits of the Morton code that faces are sorted by; fewer than that tell apart nothing that matters to a cache.
 const CODE_BITS: u32 = 30;

@@ -4,9 +4,10 @@
 use rayon::prelude::*;
 
 use super::{Grain, blocks_from_the_end, invalid};
-use crate::ingest::hierarchy::order::{error_band, morton};
+use crate::ingest::hierarchy::order::error_band;
 use crate::ingest::hierarchy::{CollapseRecord, NONE};
 use crate::ingest::spill::{Spill, SpillError, SpillWriter, Workspace};
+use crate::mesh::morton::morton;
 use crate::pack::WriteError;
 
 /// Band, code and collapse, such that keys sort as the splits do. One number, since numbers compare without a branch.

@@ -10,11 +10,11 @@ use self::meshes::*;
 use super::*;
 use crate::ingest::chunks::{height_of, pack, patches};
 use crate::ingest::clean::{clean, components};
-use crate::ingest::hierarchy::forest::morton;
 use crate::ingest::simplify::lattice::{choose, round};
 use crate::mesh::TriMesh;
 use crate::mesh::audit::audit;
 use crate::mesh::edges::{DisjointSets, EdgeTable};
+use crate::mesh::morton::morton;
 use crate::pack::CompleteMesh;
 
 /// Few enough for a mesh of a few hundred faces to have chunks of chunks.

@@ -6,10 +6,11 @@ use crate::ingest::hierarchy::{
     Collapse, NONE, Point, Simplified,
     bounds::Carried,
     components::Components,
-    forest::{InCore, assemble, morton},
+    forest::{InCore, assemble},
 };
 use crate::ingest::spill::Workspace;
 use crate::mesh::TriMesh;
+use crate::mesh::morton::morton;
 use crate::pack::CompleteMesh;
 use crate::pack::record::Dag;
 
