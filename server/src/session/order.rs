@@ -91,7 +91,7 @@ mod tests {
             (view.tolerance_px, view.two_sided) = (0.0, true);
             let scorer = if seed % 2 == 0 { Scorer::complete() } else { Scorer::new(&view, model.info()) };
             let selection = select(&model, &scorer, UNLIMITED_TRIANGLES, PageAccess::Blocking).unwrap();
-            let is_applied = |op: u32| op % 7 == seed as u32 && op % 3 == 0;
+            let is_applied = |op: u32| op % 7 == seed as u32 && op.is_multiple_of(3);
             let order = sending_order(&model, &selection, is_applied).unwrap();
             let pending: BTreeSet<u32> = selection.ops.iter().copied().filter(|&op| !is_applied(op)).collect();
             assert_eq!(order.iter().copied().collect::<BTreeSet<u32>>(), pending);
