@@ -14,6 +14,8 @@ const USAGE: &str = "usage: cargo xtask <command>
   test          everything that has to pass: format, lints, tests, docs, browser build, fuzz smoke
   fuzz [secs]   mutate frames, batches and mesh files for so many seconds per target (default 20)
   bench [args]  measure the figures of TARGETS.md: [ROW...] [FILE...] [--json] [--bits N] [--runs N]; models of LODESTREAM_MESHES
+  paper [file..]
+                measure what Southern, Blake and Marais (2001) report, and write docs/paper.md with a plot
   growth [n..]  ingest generated scans of so many triangles each and write docs/ingest-growth.md with a plot
   setup         install what the tests need on Debian (needs root)
 ";
@@ -27,6 +29,7 @@ fn main() -> ExitCode {
         "test" => test(),
         "fuzz" => fuzz(rest.first().map_or("20", String::as_str)),
         "bench" => program("bench", &rest),
+        "paper" => paper(&rest),
         "growth" => growth::growth(&rest),
         "setup" => setup(),
         _ => {
@@ -69,6 +72,12 @@ fn demo(args: &[String]) -> Result<()> {
     let mut all = vec!["demo"];
     all.extend(args.iter().map(String::as_str));
     run(binary.to_str().context("the path of the project is not UTF-8")?, &all, &[])
+}
+
+fn paper(files: &[String]) -> Result<()> {
+    let folder = root().join("docs");
+    let folder = folder.to_str().context("the path of the project is not UTF-8")?;
+    program("paper", &[&["--output".to_owned(), folder.to_owned()], files].concat())
 }
 
 /// Builds and runs a program of the tests in the caller's folder. Standard output is the program's alone.

@@ -14,15 +14,15 @@ mod one_pixel;
 mod wire;
 
 use std::cell::Cell;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context as _, bail, ensure};
-use lodestream_server::ingest::read::read_mesh_in_memory;
 use lodestream_server::ingest::sample;
 use lodestream_server::mesh::TriMesh;
 use lodestream_tests::meshes;
 use lodestream_tests::model::TestModel;
 use lodestream_tests::server_process::TempDir;
+use lodestream_tests::source::Source;
 use serde_json::{Map, Value, json};
 
 /// Rows that can be measured, and what they are.
@@ -44,14 +44,19 @@ const ROWS: [(u32, &str); 12] = [
 const SLOW: [u32; 2] = [5, 22];
 /// The models that the targets name; rows other than 7 leave out the last one, for its colours.
 const MESHES: [&str; 4] = ["bunny.ply", "armadillo.ply", "dragon_871k.ply", "gargo.ply"];
-/// Name of the variable with the folder that holds them.
-const MESHES_VAR: &str = "LODESTREAM_MESHES";
+/// Stand in for them.
+const MADE: [Source; 3] = [
+    Source::Made("noisy-sphere-70k", || meshes::noisy_sphere(70_000, 1)),
+    Source::Made("stone-300k", || TriMesh { colors: None, ..sample::generate(300_000, 0) }),
+    Source::Made("stone-50k", || sample::generate(50_000, 0)),
+];
 
 fn main() -> anyhow::Result<()> {
     let Asked { rows, files, options, as_json } = Asked::parse(std::env::args().skip(1))?;
     let report = Report { as_json, has_begun: Cell::new(false) };
     let only_rows_without_colors = files.is_empty();
-    for source in sources(files)? {
+    let sources = if files.is_empty() { Source::of_targets(&MESHES, &MADE)? } else { Source::of_files(files) };
+    for source in &sources {
         let subject = Subject::new(source, &options)?;
         for &row in &rows {
             let is_colored = subject.test.clean.colors.is_some();
@@ -135,36 +140,6 @@ impl Asked {
     }
 }
 
-/// Where a mesh comes from.
-enum Source {
-    File(PathBuf),
-    Made(&'static str, fn() -> TriMesh),
-}
-
-fn sources(files: Vec<PathBuf>) -> anyhow::Result<Vec<Source>> {
-    if !files.is_empty() {
-        return Ok(files.into_iter().map(Source::File).collect());
-    }
-    if let Some(folder) = std::env::var_os(MESHES_VAR) {
-        let files = MESHES.map(|file| Path::new(&folder).join(file));
-        let (there, missing): (Vec<_>, Vec<_>) = files.into_iter().partition(|file| file.is_file());
-        ensure!(!there.is_empty(), "{MESHES_VAR}: {} has none of {}", folder.display(), MESHES.join(", "));
-        missing.iter().for_each(|file| eprintln!("left out, as it is not there: {}", file.display()));
-        return Ok(there.into_iter().map(Source::File).collect());
-    }
-    eprintln!(
-        "{MESHES_VAR} is not set, so these are figures of generated meshes, not those that the targets name: set it to \
-         a folder with {}, or name mesh files",
-        MESHES.join(", ")
-    );
-    let stone = || TriMesh { colors: None, ..sample::generate(300_000, 0) };
-    Ok(vec![
-        Source::Made("noisy-sphere-70k", || meshes::noisy_sphere(70_000, 1)),
-        Source::Made("stone-300k", stone),
-        Source::Made("stone-50k", || sample::generate(50_000, 0)),
-    ])
-}
-
 /// A model to measure.
 struct Subject {
     name: String,
@@ -175,19 +150,16 @@ struct Subject {
 }
 
 impl Subject {
-    fn new(source: Source, options: &Options) -> anyhow::Result<Self> {
-        let (name, mesh, file, folder) = match source {
-            Source::File(file) => {
-                let name = file.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
-                (name, read_mesh_in_memory(&file)?.0, file, None)
-            }
-            Source::Made(name, make) => {
-                let (mesh, folder) = (make(), TempDir::new());
-                let file = folder.write_mesh(name, &mesh);
-                (name.to_owned(), mesh, file, Some(folder))
+    fn new(source: &Source, options: &Options) -> anyhow::Result<Self> {
+        let mesh = source.mesh()?;
+        let (file, folder) = match source {
+            Source::File(file) => (file.clone(), None),
+            Source::Made(name, _) => {
+                let folder = TempDir::new();
+                (folder.write_mesh(name, &mesh), Some(folder))
             }
         };
-        Ok(Self { name, test: TestModel::new(mesh, Some(options.bits)), file, _folder: folder })
+        Ok(Self { name: source.name(), test: TestModel::new(mesh, Some(options.bits)), file, _folder: folder })
     }
 }
 
