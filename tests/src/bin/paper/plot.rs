@@ -21,9 +21,9 @@ pub(crate) fn write(subjects: &[Subject], file: &Path) -> anyhow::Result<()> {
             .y_label_area_size(60)
             .build_cartesian_2d(0.0..subject.flight.len() as f64, 0.0..most as f64 * 1.1)?;
         chart.configure_mesh().x_desc("view").y_desc("triangles").draw()?;
-        let lines: [(&str, RGBColor, fn(&Step) -> u64); 2] =
-            [("splits only", RED, |s| s.without), ("splits and collapses", BLUE, |s| s.with_collapses)];
-        for (name, color, of) in lines {
+        let splits_only = ("splits only", RED, (|s| s.without) as fn(&Step) -> u64);
+        let both = ("splits and collapses", BLUE, (|s| s.with_collapses) as fn(&Step) -> u64);
+        for (name, color, of) in [splits_only, both] {
             let points = (0u32..).zip(&subject.flight).map(|(i, step)| (f64::from(i), of(step) as f64));
             chart
                 .draw_series(LineSeries::new(points, color.stroke_width(2)))?
