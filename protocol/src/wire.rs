@@ -62,6 +62,8 @@ pub fn decode_client(bytes: &[u8]) -> Result<ClientMessage, WireError> {
     decode::<_, MAX_CLIENT_FRAME_BYTES>(bytes)
 }
 
+/// Frames up to this length are decoded under this limit.
+const SHORT_FRAME_BYTES: usize = 1 << 16;
 /// First byte of a batch's frame: its number among the server's messages.
 const BATCH: u8 = 1;
 const HAS_LIMIT: u8 = 1;
@@ -129,7 +131,11 @@ fn decode_batch(bytes: &[u8]) -> Option<Batch> {
 /// [`WireError`].
 pub fn decode_server(bytes: &[u8]) -> Result<ServerMessage, WireError> {
     if bytes.first() != Some(&BATCH) || bytes.len() > MAX_FRAME_BYTES {
-        return decode::<_, MAX_FRAME_BYTES>(bytes);
+        // A length that is claimed inside a frame allocates before it is found wrong: short frames may not claim much.
+        return match bytes.len() {
+            0..=SHORT_FRAME_BYTES => decode::<_, SHORT_FRAME_BYTES>(bytes),
+            _ => decode::<_, MAX_FRAME_BYTES>(bytes),
+        };
     }
     decode_batch(bytes).map(ServerMessage::Batch).ok_or_else(|| WireError::Malformed("a batch's head".into()))
 }

@@ -9,4 +9,5 @@ pub mod raster;
 pub mod screen_error;
 pub mod server_process;
 pub mod sim;
+pub mod source;
 pub mod traces;

@@ -6,7 +6,8 @@ use lodestream_client::core::ClientConfig;
 use lodestream_protocol::mesh::Patch;
 use lodestream_protocol::message::ServerMessage;
 use lodestream_protocol::op::{
-    BatchTrace, Breakdown, DecodeError, OpState, decode_base, decode_batch, decode_batch_measured, decode_batch_traced,
+    BatchTrace, Breakdown, DecodeError, OpCounts, OpState, decode_base, decode_batch, decode_batch_measured,
+    decode_batch_traced,
 };
 use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
 use lodestream_protocol::wire;
@@ -79,6 +80,8 @@ pub struct SentBatch {
     pub ops: Vec<u8>,
     /// Triangle limit in force.
     pub limit: u32,
+    /// Low half of the digest after it.
+    pub digest: u32,
 }
 
 /// One session, from the welcome on.
@@ -88,12 +91,10 @@ pub struct SessionTrace {
     pub base: Patch,
     /// Bytes of the coded base mesh.
     pub base_bytes: u64,
-    /// Bytes of all frames to the client.
-    pub frame_bytes: u64,
-    /// Frames to the client.
-    pub frames: u64,
-    /// Bytes of their WebSocket headers.
-    pub websocket_bytes: u64,
+    /// All that the client received.
+    pub received: Received,
+    /// What it received until its first view had settled.
+    pub first_view: Received,
     /// Bits of a lattice coordinate.
     pub lattice_bits: u8,
     /// Whether vertices have colours.
@@ -104,6 +105,38 @@ pub struct SessionTrace {
     pub cache_entries: u32,
     /// The batches as sent.
     pub batches: Vec<SentBatch>,
+}
+
+/// What a client received, as sums.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Received {
+    /// Frames.
+    pub frames: u64,
+    /// Their bytes.
+    pub frame_bytes: u64,
+    /// Bytes of their WebSocket headers.
+    pub websocket_bytes: u64,
+    /// Batches among them.
+    pub batches: usize,
+    /// Bytes of the coded ops in these.
+    pub op_bytes: u64,
+}
+
+/// What a part of a session held, and what its bytes were spent on.
+#[derive(Clone, Debug, Default)]
+pub struct Spent {
+    /// Splits, those among them that came from the cache, collapses and spawns.
+    pub ops: OpCounts,
+    /// Bits of the coded ops.
+    pub coded: Breakdown,
+    /// Bits of frames that are neither ops nor the base mesh.
+    pub framing_bits: f64,
+    /// Bits of WebSocket headers.
+    pub websocket_bits: f64,
+    /// All of it and the base mesh.
+    pub total_bits: f64,
+    /// Frames.
+    pub frames: u64,
 }
 
 impl SessionTrace {
@@ -132,15 +165,19 @@ impl SessionTrace {
     pub fn of_frames(frames: &[Vec<u8>]) -> Self {
         let mut trace: Option<Self> = None;
         let (mut batches, mut limit) = (Vec::new(), 0);
+        let mut received = Received::default();
+        let mut first_view = None;
         for frame in frames {
+            received.frames += 1;
+            received.frame_bytes += frame.len() as u64;
+            received.websocket_bytes += websocket_header(frame.len());
             match wire::decode_server(frame).expect("the server sends valid frames") {
                 ServerMessage::Welcome { model, cache_entries, base } => {
                     trace = Some(Self {
                         base: decode_base(&base, model.lattice.bits, model.has_colors).expect("the base decodes"),
                         base_bytes: base.len() as u64,
-                        frame_bytes: frames.iter().map(|frame| frame.len() as u64).sum(),
-                        frames: frames.len() as u64,
-                        websocket_bytes: frames.iter().map(|frame| websocket_header(frame.len())).sum(),
+                        received: Received::default(),
+                        first_view: Received::default(),
                         lattice_bits: model.lattice.bits,
                         has_colors: model.has_colors,
                         has_moves: model.has_moves,
@@ -149,14 +186,21 @@ impl SessionTrace {
                     });
                 }
                 ServerMessage::Batch(batch) => {
+                    received.batches += 1;
+                    received.op_bytes += batch.ops.len() as u64;
                     limit = batch.limit.unwrap_or(limit);
-                    batches.push(SentBatch { ops: batch.ops, limit });
+                    if batch.outcome.is_some() {
+                        first_view.get_or_insert(received);
+                    }
+                    batches.push(SentBatch { ops: batch.ops, limit, digest: batch.digest });
                 }
-                ServerMessage::Settled(_) => {}
+                ServerMessage::Settled(_) => _ = first_view.get_or_insert(received),
                 ServerMessage::Restart => panic!("the two ends disagreed"),
             }
         }
         let mut trace = trace.expect("a session begins with a welcome");
+        trace.first_view = first_view.unwrap_or(received);
+        trace.received = received;
         trace.batches = batches;
         trace
     }
@@ -177,17 +221,47 @@ impl SessionTrace {
         self.batches.iter().map(traced).collect()
     }
 
-    /// What the bits of the batches were spent on.
+    /// What everything was spent on.
     ///
     /// # Errors
     /// If a batch does not decode.
-    pub fn breakdown(&self) -> Result<Breakdown, DecodeError> {
+    pub fn spent(&self) -> Result<Spent, DecodeError> {
+        self.spent_after(&Received::default())
+    }
+
+    /// What was spent on moving: all that came after the first view had settled.
+    ///
+    /// # Errors
+    /// If a batch does not decode.
+    pub fn spent_moving(&self) -> Result<Spent, DecodeError> {
+        self.spent_after(&self.first_view)
+    }
+
+    fn spent_after(&self, start: &Received) -> Result<Spent, DecodeError> {
         let mut state = self.start();
-        let mut breakdown = Breakdown::default();
-        for batch in &self.batches {
-            decode_batch_measured(&batch.ops, &mut state, batch.limit, &mut breakdown)?;
+        let mut before = Breakdown::default();
+        let mut spent = Spent::default();
+        for (number, batch) in self.batches.iter().enumerate() {
+            let is_before = number < start.batches;
+            let breakdown = if is_before { &mut before } else { &mut spent.coded };
+            let counts = decode_batch_measured(&batch.ops, &mut state, batch.limit, breakdown)?;
+            if !is_before {
+                spent.ops.splits += counts.splits;
+                spent.ops.cached_splits += counts.cached_splits;
+                spent.ops.collapses += counts.collapses;
+                spent.ops.spawns += counts.spawns;
+                spent.ops.despawns += counts.despawns;
+                spent.ops.max_triangles = spent.ops.max_triangles.max(counts.max_triangles);
+            }
         }
-        Ok(breakdown)
+        let base_bytes = if start.frames == 0 { self.base_bytes } else { 0 };
+        let frame_bytes = self.received.frame_bytes - start.frame_bytes;
+        let op_bytes = self.received.op_bytes - start.op_bytes;
+        spent.framing_bits = 8.0 * (frame_bytes - op_bytes - base_bytes) as f64;
+        spent.websocket_bits = 8.0 * (self.received.websocket_bytes - start.websocket_bytes) as f64;
+        spent.total_bits = 8.0 * frame_bytes as f64 + spent.websocket_bits;
+        spent.frames = self.received.frames - start.frames;
+        Ok(spent)
     }
 
     /// Decodes and applies everything: the client's work, for benchmarks.

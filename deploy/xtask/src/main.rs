@@ -13,6 +13,9 @@ const USAGE: &str = "usage: cargo xtask <command>
   demo [args]   build everything and run `lodestream-server demo`: a sample model, ingested and served
   test          everything that has to pass: format, lints, tests, docs, browser build, fuzz smoke
   fuzz [secs]   mutate frames, batches and mesh files for so many seconds per target (default 20)
+  bench [args]  measure the figures of TARGETS.md: [ROW...] [FILE...] [--json] [--bits N] [--runs N]; models of LODESTREAM_MESHES
+  paper [file..]
+                measure what Southern, Blake and Marais (2001) report, and write docs/paper.md with a plot
   growth [n..]  ingest generated scans of so many triangles each and write docs/ingest-growth.md with a plot
   setup         install what the tests need on Debian (needs root)
 ";
@@ -25,6 +28,8 @@ fn main() -> ExitCode {
         "demo" => demo(&rest),
         "test" => test(),
         "fuzz" => fuzz(rest.first().map_or("20", String::as_str)),
+        "bench" => program("bench", &rest),
+        "paper" => paper(&rest),
         "growth" => growth::growth(&rest),
         "setup" => setup(),
         _ => {
@@ -67,6 +72,26 @@ fn demo(args: &[String]) -> Result<()> {
     let mut all = vec!["demo"];
     all.extend(args.iter().map(String::as_str));
     run(binary.to_str().context("the path of the project is not UTF-8")?, &all, &[])
+}
+
+fn paper(files: &[String]) -> Result<()> {
+    let folder = root().join("docs");
+    let folder = folder.to_str().context("the path of the project is not UTF-8")?;
+    program("paper", &[&["--output".to_owned(), folder.to_owned()], files].concat())
+}
+
+/// Builds and runs a program of the tests in the caller's folder. Standard output is the program's alone.
+fn program(name: &str, args: &[String]) -> Result<()> {
+    eprintln!("building (minutes the first time)");
+    let packages = ["-p", "lodestream-server", "-p", "lodestream-client", "-p", "lodestream-tests"];
+    let build = ["build", "--release", "--quiet", "--bin", "lodestream-server", "--bin", "lodestream", "--bin", name];
+    let built = Command::new("cargo").args(build).args(packages).current_dir(root()).status();
+    if !built.context("cannot run cargo")?.success() {
+        bail!("the build failed");
+    }
+    let status = Command::new(target_dir().join("release").join(name)).args(args).status();
+    let status = status.with_context(|| format!("cannot run {name}"))?;
+    if status.success() { Ok(()) } else { bail!("{name} failed ({status})") }
 }
 
 fn target_dir() -> PathBuf {

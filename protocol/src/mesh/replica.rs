@@ -300,6 +300,8 @@ impl Replica {
                 smallest = (face, fan.out.len());
             }
             fan.out.push(h);
+            // Read on the way: the walk waits for memory, and both reads of a face can wait at once.
+            fan.ring.push(self.corner_at(next_in_face(h)));
             let next = self.twin_of(previous(h));
             if next == NO_HALF_EDGE {
                 break;
@@ -312,6 +314,7 @@ impl Replica {
         }
         if closed {
             fan.out.rotate_left(smallest.1);
+            fan.ring.rotate_left(smallest.1);
         } else {
             // The walk began somewhere in the middle: find the rest, clockwise from the start.
             let walked = fan.out.len();
@@ -328,8 +331,9 @@ impl Replica {
             fan.out[walked..].reverse();
             fan.out.rotate_left(walked);
         }
-        fan.ring.extend(fan.out.iter().map(|&h| self.corner_at(next_in_face(h))));
         if !closed {
+            fan.ring.clear();
+            fan.ring.extend(fan.out.iter().map(|&h| self.corner_at(next_in_face(h))));
             let last = *fan.out.last().expect("a fan has a face");
             fan.ring.push(self.corner_at(previous(last)));
         }

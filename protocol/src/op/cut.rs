@@ -14,6 +14,9 @@ use crate::mesh::{Cut, Fan};
 /// Valences whose cuts are ranked; there are at most 132 pairs.
 pub(crate) const RANKED_VALENCES: std::ops::RangeInclusive<u32> = 3..=MAX_RANKED_VALENCE;
 pub(crate) const MAX_RANKED_VALENCE: u32 = 12;
+/// The same as a length, and the pairs of that many spokes.
+const MAX_SPOKES: usize = MAX_RANKED_VALENCE as usize;
+const MAX_PAIRS: usize = MAX_SPOKES * (MAX_SPOKES - 1);
 /// Classes of the odds of a candidate, in half octaves about even.
 const ODDS: usize = 32;
 
@@ -30,11 +33,23 @@ pub(crate) struct CutModels {
 contexts!(CutModels: open_case, is_it, arc);
 
 /// Work space for ranking.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(crate) struct Ranking {
-    /// Weight of each pair, right spoke major: how likely it is, relative to the others.
-    weights: Vec<u32>,
-    scores: Vec<i32>,
+    /// Of each pair, right spoke major: its weight (how likely it is, relative to the others) above [`PLACE_BITS`] bits that are
+    /// the larger the earlier the pair; 0 once it has been ruled out. The largest key is the first of the largest weights.
+    keys: [i32; MAX_PAIRS],
+    /// How many there are.
+    count: usize,
+}
+
+/// Bits of a key below the weight, and the place that they count down from.
+const PLACE_BITS: u32 = 8;
+const LAST_PLACE: i32 = (1 << PLACE_BITS) - 1;
+
+impl Default for Ranking {
+    fn default() -> Self {
+        Self { keys: [0; MAX_PAIRS], count: 0 }
+    }
 }
 
 /// What the score of a pair of spokes is made of.
@@ -121,7 +136,7 @@ impl CutModels {
             _ => u32::MAX,
         };
         let mut rest = ranking.rank(weights, ring);
-        let count = ranking.weights.len();
+        let count = ranking.count;
         let mut chosen = 0;
         for rank in 0..count {
             let (at, weight) = ranking.likeliest();
@@ -135,26 +150,31 @@ impl CutModels {
             if coder.bit(context, at as u32 == wanted) {
                 break;
             }
-            ranking.weights[at] = 0;
+            ranking.keys[at] = 0;
         }
         let (right, arc) = (chosen as u32 / (spokes - 1), chosen as u32 % (spokes - 1) + 1);
         Cut::Both { right, left: (right + arc) % spokes }
     }
 }
 
+/// Share of the ring's area in each face, in 1/256. They add up over any arc: each is a difference of cumulative shares.
+fn area_shares(ring: &Ring) -> [i32; MAX_SPOKES] {
+    let total = ring.areas.iter().sum::<i64>().max(1);
+    let mut shares = [0; MAX_SPOKES];
+    let (mut sum, mut share_before) = (0, 0);
+    for (share, area) in shares.iter_mut().zip(&ring.areas) {
+        sum += area;
+        let share_after = (sum << 8) / total;
+        *share = (share_after - share_before) as i32;
+        share_before = share_after;
+    }
+    shares
+}
+
 /// Calls `visit` with right spoke, arc length and features of each pair of spokes of a closed ring, in the order of coding.
 pub(crate) fn for_each_pair(ring: &Ring, mut visit: impl FnMut(u32, u32, CutFeatures)) {
     let spokes = ring.spokes.len();
-    let total = ring.areas.iter().sum::<i64>().max(1);
-    let shares: [i32; MAX_RANKED_VALENCE as usize] = {
-        let mut before = 0;
-        std::array::from_fn(|i| {
-            let start = before;
-            before += ring.areas.get(i).copied().unwrap_or(0);
-            // Cumulative shares, so that those of all arcs add up.
-            ((before << 8) / total - (start << 8) / total) as i32
-        })
-    };
+    let shares = area_shares(ring);
     for right in 0..spokes {
         let mut features = CutFeatures { cut_length: 0, inner_length: 0, edge_length: 0, area: -128 };
         let mut at = right;
@@ -172,37 +192,103 @@ pub(crate) fn for_each_pair(ring: &Ring, mut visit: impl FnMut(u32, u32, CutFeat
 }
 
 impl Ranking {
-    /// Weighs all pairs and returns the sum of the weights.
+    /// Weighs all pairs and returns the sum of the weights. The score of a pair is linear in what lies on its arc, so it is made
+    /// of sums up to each spoke, twice around, instead of visiting the arc.
     fn rank(&mut self, weights: &CutWeights, ring: &Ring) -> u64 {
-        let by_arc = &weights.arcs[ring.spokes.len()];
-        let Self { scores, weights: out } = self;
-        scores.clear();
+        let spokes = ring.spokes.len();
+        let by_arc = &weights.arcs[spokes][1..spokes];
+        let shares = area_shares(ring);
+        let (mut inner, mut cut) = ([0; MAX_SPOKES], [0; 2 * MAX_SPOKES]);
+        // Of the edges before each spoke and the spokes before it, and of the areas.
+        let (mut sums, mut areas) = ([0; 2 * MAX_SPOKES], [0; 2 * MAX_SPOKES]);
+        let (mut sum, mut area) = (0, 0);
+        for i in 0..2 * spokes {
+            let spoke = if i < spokes { i } else { i - spokes };
+            let length = ring.lengths[spoke] - ring.spoke;
+            cut[i] = weights.cut_length * length;
+            sums[i] = sum;
+            areas[i] = area;
+            inner[spoke] = weights.inner_length * length;
+            sum += weights.edge_length * (ring.edges[spoke] - ring.spoke) + inner[spoke];
+            area += shares[spoke];
+        }
+        self.count = spokes * (spokes - 1);
         let mut best = i32::MIN;
-        for_each_pair(ring, |_, arc, f| {
-            let area = f.area;
-            let sum = weights.cut_length * f.cut_length
-                + weights.inner_length * f.inner_length
-                + weights.edge_length * f.edge_length
-                + weights.area * area
-                + weights.area_squared * ((area * area) >> 8)
-                + (by_arc[arc as usize] << 8);
-            let score = sum >> 8;
-            best = best.max(score);
-            scores.push(score);
-        });
-        out.clear();
-        out.extend(scores.iter().map(|&score| power((score - best).max(-16 * 20))));
-        out.iter().map(|&weight| u64::from(weight)).sum()
+        for (right, scores) in self.keys[..self.count].chunks_exact_mut(spokes - 1).enumerate() {
+            let start = cut[right] - sums[right] - inner[right];
+            let start_area = -128 - areas[right];
+            let ends = right + 1..right + spokes;
+            let ends = sums[ends.clone()].iter().zip(&areas[ends.clone()]).zip(&cut[ends]);
+            for ((score, by_arc), ((sum, area), cut)) in scores.iter_mut().zip(by_arc).zip(ends) {
+                let area = start_area + area;
+                let sum = start + sum + cut + weights.area * area + weights.area_squared * ((area * area) >> 8);
+                *score = (sum + (by_arc << 8)) >> 8;
+                best = best.max(*score);
+            }
+        }
+        let mut total = 0;
+        for (at, key) in self.keys[..self.count].iter_mut().enumerate() {
+            let weight = power((*key - best).max(-16 * 20));
+            total += u64::from(weight);
+            *key = (weight << PLACE_BITS) as i32 | (LAST_PLACE - at as i32);
+        }
+        total
     }
 
     /// The first of the largest weights, and its place.
     fn likeliest(&self) -> (usize, u32) {
-        let mut best = (0, 0);
-        for (at, &weight) in self.weights.iter().enumerate() {
-            if weight > best.1 {
-                best = (at, weight);
+        let key = self.keys[..self.count].iter().fold(0, |largest: i32, &key| largest.max(key));
+        ((LAST_PLACE - (key & LAST_PLACE)) as usize, key as u32 >> PLACE_BITS)
+    }
+}
+
+const _: () = assert!(MAX_PAIRS <= LAST_PLACE as usize);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::op::trained::TRAINED;
+
+    /// A ring whose numbers are those of no surface, which ranking must not care about.
+    fn ring(rng: &mut fastrand::Rng, spokes: usize) -> Ring {
+        let mut ring = Ring::default();
+        ring.spoke = rng.i32(0..=700);
+        let mut numbers = |most: i32| (0..spokes).map(|_| rng.i32(0..=most)).collect::<Vec<_>>();
+        (ring.lengths, ring.edges) = (numbers(700), numbers(700));
+        ring.areas = numbers(i32::MAX).into_iter().map(|area| i64::from(area) << 12).collect();
+        ring.spokes = vec![[0; 3]; spokes];
+        ring
+    }
+
+    #[test]
+    fn ranking_agrees_with_a_visit_of_each_pair_and_a_sort() {
+        let mut rng = fastrand::Rng::with_seed(3);
+        let mut ranking = Ranking::default();
+        let w = &TRAINED.cut;
+        for spokes in RANKED_VALENCES.cycle().take(600) {
+            let mut ring = ring(&mut rng, spokes as usize);
+            if rng.bool() {
+                // Ties.
+                ring.lengths.fill(ring.spoke);
+                ring.edges.fill(ring.spoke);
+            }
+            let mut scores = Vec::new();
+            for_each_pair(&ring, |_, arc, f| {
+                let sum = w.cut_length * f.cut_length + w.inner_length * f.inner_length + w.edge_length * f.edge_length;
+                let area = w.area * f.area + w.area_squared * ((f.area * f.area) >> 8);
+                scores.push((sum + area + (w.arcs[spokes as usize][arc as usize] << 8)) >> 8);
+            });
+            let best = scores.iter().copied().max().unwrap();
+            let mut expected: Vec<(usize, u32)> =
+                scores.iter().map(|score| power((score - best).max(-320))).enumerate().collect();
+            expected.sort_by_key(|&(_, weight)| std::cmp::Reverse(weight));
+            let total = ranking.rank(w, &ring);
+            assert_eq!(total, expected.iter().map(|&(_, weight)| u64::from(weight)).sum());
+            assert_eq!(ranking.count, expected.len());
+            for expected in expected {
+                assert_eq!(ranking.likeliest(), expected);
+                ranking.keys[expected.0] = 0;
             }
         }
-        best
     }
 }

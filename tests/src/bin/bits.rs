@@ -6,7 +6,7 @@
 
 use std::path::Path as FilePath;
 
-use lodestream_protocol::op::{OpCounts, Part, decode_batch};
+use lodestream_protocol::op::Part;
 use lodestream_protocol::view::UNLIMITED_TRIANGLES;
 use lodestream_server::ingest::read::read_mesh_in_memory;
 use lodestream_tests::model::TestModel;
@@ -52,20 +52,8 @@ fn main() -> anyhow::Result<()> {
 }
 
 fn report(case: &str, path: Path, trace: &SessionTrace, as_json: bool) -> anyhow::Result<()> {
-    let mut state = trace.start();
-    let mut sum = OpCounts::default();
-    for batch in &trace.batches {
-        let counts = decode_batch(&batch.ops, &mut state, batch.limit)?;
-        sum.splits += counts.splits;
-        sum.cached_splits += counts.cached_splits;
-        sum.collapses += counts.collapses;
-        sum.spawns += counts.spawns;
-    }
-    let breakdown = trace.breakdown()?;
-    let batch_bytes: u64 = trace.batches.iter().map(|batch| batch.ops.len() as u64).sum();
-    let framing = 8.0 * (trace.frame_bytes - batch_bytes - trace.base_bytes) as f64;
-    let websocket = 8.0 * trace.websocket_bytes as f64;
-    let total = 8.0 * trace.frame_bytes as f64 + websocket;
+    let spent = trace.spent()?;
+    let (sum, breakdown) = (spent.ops, &spent.coded);
     let per = |bits: f64, count: u32| if count == 0 { 0.0 } else { bits / f64::from(count) };
     let new = sum.splits - sum.cached_splits;
     let [address, cut, position, color] =
@@ -73,8 +61,8 @@ fn report(case: &str, path: Path, trace: &SessionTrace, as_json: bool) -> anyhow
     let collapse = per(breakdown.bits(Part::Collapse), sum.collapses);
     let cached = per(breakdown.bits(Part::Cached), sum.cached_splits);
     let [spawn, control] = [Part::Spawn, Part::Control].map(|part| per(breakdown.bits(part), sum.splits));
-    let (framing, websocket) = (per(framing, sum.splits), per(websocket, sum.splits));
-    let all = per(total, sum.splits);
+    let (framing, websocket) = (per(spent.framing_bits, sum.splits), per(spent.websocket_bits, sum.splits));
+    let all = per(spent.total_bits, sum.splits);
     if as_json {
         let per_new_split = json!({"address": address, "cut": cut, "position": position, "color": color});
         let per_split =
@@ -83,7 +71,7 @@ fn report(case: &str, path: Path, trace: &SessionTrace, as_json: bool) -> anyhow
             "{}",
             json!({"name": "bits", "case": format!("{case}/{}", path.name()), "unit": "bits", "value": all,
                 "splits": sum.splits, "cached_splits": sum.cached_splits, "collapses": sum.collapses,
-                "spawns": sum.spawns, "frames": trace.frames, "base_bytes": trace.base_bytes, "per_new_split": per_new_split,
+                "spawns": sum.spawns, "frames": spent.frames, "base_bytes": trace.base_bytes, "per_new_split": per_new_split,
                 "per_collapse": collapse, "per_cached_split": cached, "per_split": per_split})
         );
     } else {
@@ -93,7 +81,7 @@ fn report(case: &str, path: Path, trace: &SessionTrace, as_json: bool) -> anyhow
             sum.splits,
             sum.cached_splits,
             sum.collapses,
-            trace.frames
+            spent.frames
         );
     }
     Ok(())

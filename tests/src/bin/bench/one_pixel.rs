@@ -1,11 +1,9 @@
-//! Row 5 of the targets with the real binaries: `row5 FILE... [--bits N]`. One JSON object per mesh, distance and azimuth, and
-//! one for the mean of the azimuths.
+//! Row 5, with the real binaries.
 //!
-//! Each case ingests with `lodestream-server`, serves, and looks for the largest tolerance at which `lodestream snapshot
-//! --export` holds, once settled, a mesh whose real screen error (p99.9 of unoccluded vertices at 1920x1080, 45 degrees) is at
-//! most one pixel; its bytes are everything received from cold. `--until bytes:N` would stop at the end of a frame, which is up
-//! to half of what these views need. The mesh is judged once more by `lodestream-server screen-error`. Build first: `cargo
-//! build --release --workspace --bins`.
+//! Each case looks for the largest tolerance at which `lodestream snapshot --export` holds, once settled, a mesh whose real screen
+//! error (p99.9 of unoccluded vertices at 1920x1080, 45 degrees) is at most one pixel; its bytes are everything received from
+//! cold. `--until bytes:N` would stop at the end of a frame, which is up to half of what these views need. The mesh is judged once
+//! more by `lodestream-server screen-error`.
 
 use std::ffi::OsStr;
 use std::path::Path;
@@ -16,39 +14,28 @@ use lodestream_protocol::view::View;
 use lodestream_server::ingest::read::read_mesh_in_memory;
 use lodestream_server::judge::original::{Original, Shown};
 use lodestream_server::judge::screen_error::{Candidate, Percentiles, findings};
-use lodestream_server::pack::{PackedModel, extract_complete};
+use lodestream_server::pack::extract_complete;
 use lodestream_tests::server_process::{ServerProcess, TempDir, described, server, snapshot};
 use serde_json::{Value, json};
+
+use crate::live::Served;
+use crate::{Options, Report, Subject};
 
 /// Tolerances between which the largest that will do is looked for, in pixels.
 const TOLERANCES_PX: [f64; 2] = [0.25, 4.0];
 /// Halvings of that interval, by ratio: 2 % are left.
 const HALVINGS: u32 = 7;
 
-fn main() -> anyhow::Result<()> {
-    let args: Vec<String> = std::env::args().skip(1).collect();
-    let bits = args.iter().position(|a| a == "--bits").and_then(|i| args.get(i + 1)).map_or("14", String::as_str);
-    for file in args.iter().take_while(|a| !a.starts_with("--")) {
-        measure(Path::new(file), bits)?;
-    }
-    Ok(())
-}
-
-fn measure(file: &Path, bits: &str) -> anyhow::Result<()> {
-    let folder = TempDir::new();
-    let repository = folder.join("repository");
-    let words = ["ingest", "--name", "model", "--bits", bits, "--repository"].map(OsStr::new);
-    let output = server(words.into_iter().chain([repository.as_os_str(), file.as_os_str()]));
-    ensure!(output.status.success(), "{}", described(&output));
-    let model = PackedModel::from_vec(std::fs::read(repository.join("model.lodepack"))?)?;
+/// Six azimuths, both distances.
+pub(crate) fn measure(subject: &Subject, options: &Options, report: &Report) -> anyhow::Result<()> {
+    let Served { folder, repository, process, model } = &Served::new(&subject.file, options.bits)?;
     // Judged against what complete refinement gives, which is a file too, for the command.
     let complete = folder.join("complete.ply");
-    let words = ["export", "model", "--repository"].map(OsStr::new);
+    let words = ["export", Served::ID, "--repository"].map(OsStr::new);
     let output = server(words.into_iter().chain([repository.as_os_str(), "--output".as_ref(), complete.as_os_str()]));
     ensure!(output.status.success(), "{}", described(&output));
-    let original = Original::new(&extract_complete(&model)?);
-    let process = ServerProcess::start(&repository);
-    let case = file.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+    let original = Original::new(&extract_complete(model)?);
+    let case = &subject.name;
     let whole = original.radius() / 22.5f64.to_radians().sin();
     for (name, distance) in [("whole", whole), ("close", 0.95 * original.radius())] {
         let mut total = 0.0;
@@ -59,25 +46,23 @@ fn measure(file: &Path, bits: &str) -> anyhow::Result<()> {
             let mut view = View::perspective(eye, original.center(), 45f32.to_radians());
             view.near = original.radius() * 1e-3;
             let shown = original.shown(&view).into_iter().filter(|s| s.is_unoccluded).collect();
-            let subject = Subject { process: &process, original: &original, view, shown, folder: &folder };
-            let (tolerance, stats, error) = subject.fewest_bytes()?;
+            let search = Search { process, original: &original, view, shown, folder };
+            let (tolerance, stats, error) = search.fewest_bytes()?;
             let again =
-                subject.command(&complete)?["unoccluded"]["p999"].as_f64().context("screen-error prints p999")?;
+                search.command(&complete)?["unoccluded"]["p999"].as_f64().context("screen-error prints p999")?;
             ensure!((again - error.p999).abs() < 1e-3, "screen-error says {again}, not {}", error.p999);
             let bytes = stats["bytes_received"].as_f64().context("--stats has bytes_received")?;
             total += bytes;
-            let line = json!({"name": "5 bytes to 1 px", "case": format!("{case}/{name}/{azimuth}"), "value": bytes,
-                "unit": "bytes", "tolerance_px": tolerance, "triangles": stats["triangles"], "p999_px": error.p999, "max_px": error.max});
-            println!("{line}");
+            let more = json!({"tolerance_px": tolerance, "triangles": stats["triangles"], "p999_px": error.p999,
+                "max_px": error.max});
+            report.line("5 bytes to 1 px", &format!("{case}/{name}/{azimuth}"), bytes, "B", more);
         }
-        let line = json!({"name": "5 bytes to 1 px, mean of azimuths", "case": format!("{case}/{name}"),
-            "value": total / 6.0, "unit": "bytes"});
-        println!("{line}");
+        report.line("5 bytes to 1 px, mean of azimuths", &format!("{case}/{name}"), total / 6.0, "B", Value::Null);
     }
     Ok(())
 }
 
-struct Subject<'a> {
+struct Search<'a> {
     process: &'a ServerProcess,
     original: &'a Original,
     view: View,
@@ -85,7 +70,7 @@ struct Subject<'a> {
     folder: &'a TempDir,
 }
 
-impl Subject<'_> {
+impl Search<'_> {
     /// Tolerance, statistics and error of the run with the fewest bytes that reaches one pixel; its mesh is left as `best.ply`.
     fn fewest_bytes(&self) -> anyhow::Result<(f64, Value, Percentiles)> {
         let [mut low, mut high] = TOLERANCES_PX;
@@ -112,7 +97,7 @@ impl Subject<'_> {
         let words = ["--size", "1920x1080", "--fov", "45", "--triangles", "unlimited", "--json"];
         let rest = ["--tolerance", &tolerance, "--eye", &eye, "--target", &target, "--export"];
         let words = words.into_iter().chain(rest).map(OsStr::new);
-        let output = snapshot(&self.process.url("model"), words.chain([mesh.as_os_str()]));
+        let output = snapshot(&self.process.url(Served::ID), words.chain([mesh.as_os_str()]));
         ensure!(output.status.success(), "{}", described(&output));
         let stats = serde_json::from_slice(&output.stdout).context("--json prints JSON")?;
         let candidate = Candidate::new(&read_mesh_in_memory(&mesh)?.0);

@@ -1,0 +1,157 @@
+//! Both ends in this process, so that the time of either can be told apart.
+
+use std::time::Duration;
+
+use anyhow::ensure;
+use fastrand::Rng;
+use glam::DVec3;
+use lodestream_client::core::{ClientConfig, ClientSession};
+use lodestream_protocol::time::Timestamp;
+use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
+use lodestream_server::judge::calibration::{CalibrationOptions, calibrate};
+use lodestream_server::session::score::Scorer;
+use lodestream_server::session::{Session, SessionConfig, ops_for_view};
+use lodestream_tests::model::TestModel;
+use serde_json::json;
+
+use crate::{Options, Report, Subject, median};
+
+/// Row 13: a complete load, from the hello to the last frame.
+pub(crate) fn server(subject: &Subject, options: &Options, report: &Report) -> anyhow::Result<()> {
+    let mut rates = Vec::new();
+    let mut splits = 0;
+    for _ in 0..options.runs {
+        let load = Load::record(&subject.test)?;
+        splits = load.splits;
+        rates.push(splits as f64 / load.server_time.as_secs_f64());
+    }
+    let more = json!({"splits": splits, "runs": options.runs});
+    report.line("13 server, select + mirror + encode", &subject.name, median(rates), "splits/s", more);
+    Ok(())
+}
+
+/// Row 16: the frames of a complete load, decoded and applied.
+pub(crate) fn client(subject: &Subject, options: &Options, report: &Report) -> anyhow::Result<()> {
+    let load = Load::record(&subject.test)?;
+    let mut rates = Vec::new();
+    for _ in 0..options.runs {
+        let mut client = new_client();
+        let now = Timestamp::default();
+        client.set_view(now, complete_view())?;
+        while client.poll_transmit(now).is_some() {}
+        let start = processor_time();
+        for frame in &load.frames {
+            client.handle_frame(now, frame)?;
+        }
+        rates.push(load.splits as f64 / (processor_time() - start).as_secs_f64());
+        check(&client, &subject.test)?;
+        let digest = client.replica().map(|replica| replica.digest());
+        ensure!(digest == Some(load.digest), "the client's mesh is not the server's");
+    }
+    let bytes: usize = load.frames.iter().map(Vec::len).sum();
+    let more =
+        json!({"splits": load.splits, "bytes": bytes, "runs": options.runs, "digest": format!("{:016x}", load.digest)});
+    report.line("16 client, decode + apply", &subject.name, median(rates), "splits/s", more);
+    Ok(())
+}
+
+/// A complete load from cold.
+struct Load {
+    frames: Vec<Vec<u8>>,
+    splits: u64,
+    /// Of the server's mesh.
+    digest: u64,
+    server_time: Duration,
+}
+
+impl Load {
+    fn record(test: &TestModel) -> anyhow::Result<Self> {
+        let mut server = Session::new(test.model.clone(), SessionConfig::default());
+        let mut client = new_client();
+        let mut now = Timestamp::default();
+        let mut frames = Vec::new();
+        let mut server_time = Duration::ZERO;
+        client.set_view(now, complete_view())?;
+        while client.settled().is_none() {
+            now = now + Duration::from_millis(1);
+            let requests: Vec<_> = std::iter::from_fn(|| client.poll_transmit(now)).collect();
+            let start = processor_time();
+            for frame in &requests {
+                server.handle_frame(now, frame)?;
+            }
+            let frame = server.poll_transmit(now)?;
+            server_time += processor_time() - start;
+            if let Some(frame) = frame {
+                client.handle_frame(now, &frame)?;
+                frames.push(frame);
+            }
+        }
+        check(&client, test)?;
+        let digest = server.mirror().map_or(0, |mirror| mirror.digest());
+        Ok(Self { frames, splits: client.stats().splits, digest, server_time })
+    }
+}
+
+fn new_client() -> ClientSession {
+    ClientSession::new(ClientConfig { view_interval: Duration::ZERO, ..ClientConfig::default() })
+}
+
+fn complete_view() -> View {
+    View { complete: true, triangle_limit: UNLIMITED_TRIANGLES, ..View::perspective(DVec3::Z, DVec3::ZERO, 0.8) }
+}
+
+/// That the client holds the complete mesh and never disagreed with the server.
+fn check(client: &ClientSession, test: &TestModel) -> anyhow::Result<()> {
+    let triangles = client.replica().map_or(0, |replica| u64::from(replica.triangle_count()));
+    ensure!(triangles == test.model.info().triangles, "{triangles} triangles are not the complete mesh");
+    ensure!(client.stats().resets == 0, "the two ends disagreed");
+    Ok(())
+}
+
+/// Row 6: P* against the ops wanted for their own sake, which the vertex forest alone would need, over random views.
+pub(crate) fn closures(subject: &Subject, options: &Options, report: &Report) -> anyhow::Result<()> {
+    let model = &subject.test.model;
+    let (lo, hi) = subject.test.clean.bounding_box().expect("the mesh has vertices");
+    let (lo, hi) = (DVec3::from_array(lo), DVec3::from_array(hi));
+    let (center, radius) = ((lo + hi) / 2.0, (hi - lo).length() / 2.0);
+    let mut rng = Rng::with_seed(6);
+    let mut ratios = Vec::new();
+    for _ in 0..options.views {
+        let direction = DVec3::new(rng.f64() - 0.5, rng.f64() - 0.5, rng.f64() - 0.5).normalize_or(DVec3::Z);
+        let eye = center + direction * radius * (0.95 + 2.5 * rng.f64());
+        let mut view = View::perspective(eye, center, 45f32.to_radians());
+        view.near = radius * 1e-3;
+        view.triangle_limit = UNLIMITED_TRIANGLES;
+        let scorer = Scorer::new(&view, model.info());
+        let mut wanted = 0u32;
+        for op in 0..model.op_count() {
+            wanted += u32::from(scorer.wants(scorer.priority(&model.bounds(op)?)));
+        }
+        let selected = ops_for_view(model, &view)?.len();
+        ensure!(selected >= wanted as usize, "{selected} ops hold not all of the {wanted} wanted");
+        ratios.push(selected as f64 / f64::from(wanted.max(1)));
+    }
+    let most = ratios.iter().copied().fold(0.0, f64::max);
+    let more = json!({"most": most, "views": options.views});
+    report.line("6 ops against the vertex-tree minimum, median", &subject.name, median(ratios), "ratio", more);
+    Ok(())
+}
+
+/// Row 22: the real error over random views in units of the tolerance, as `lodestream-server verify --views` prints it.
+pub(crate) fn calibration(subject: &Subject, options: &Options, report: &Report) -> anyhow::Result<()> {
+    let asked = CalibrationOptions { views: options.views as u64, seed: 1, tolerance_px: None };
+    let found = calibrate(&subject.test.model, &asked, &mut |_| {})?;
+    let more = || json!({"views": options.views});
+    report.line("22 screen error, p99.9", &subject.name, found.error.p999, "tolerances", more());
+    report.line("22 screen error, maximum", &subject.name, found.error.max, "tolerances", more());
+    if let Some(color) = found.color {
+        report.line("22 colour difference, mean", &subject.name, color.mean, "full scale", more());
+    }
+    Ok(())
+}
+
+/// Processor time that this thread has used.
+fn processor_time() -> Duration {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+    Duration::new(u64::try_from(time.tv_sec).unwrap_or(0), u32::try_from(time.tv_nsec).unwrap_or(0))
+}
