@@ -1,5 +1,5 @@
 //! What tests of both ends share: generated [`meshes`], models built from them ([`model`]), dull twins ([`naive`]), virtual
-//! links ([`sim`]), real binaries ([`server_process`]), fuzz targets ([`fuzz`]) and a CPU rasteriser ([`raster`]) as the oracle for pictures.
+//! links ([`sim`]), real binaries ([`server_process`]), fuzz targets ([`fuzz`]), random sessions ([`soak`]) and a CPU rasteriser ([`raster`]) as the oracle for pictures.
 
 pub mod fuzz;
 pub mod meshes;
@@ -9,4 +9,5 @@ pub mod raster;
 pub mod screen_error;
 pub mod server_process;
 pub mod sim;
+pub mod soak;
 pub mod traces;
