@@ -11,8 +11,9 @@ mod growth;
 const USAGE: &str = "usage: cargo xtask <command>
 
   demo [args]   build everything and run `lodestream-server demo`: a sample model, ingested and served
-  test          everything that has to pass: format, lints, tests, docs, browser build, fuzz smoke
+  test          everything that has to pass: format, lints, tests, docs, browser build, fuzz smoke, 10^7 ops of soak
   fuzz [secs]   mutate frames, batches and mesh files for so many seconds per target (default 20)
+  soak [ops]    random sessions until so many ops have crossed (default 10^8), both ends compared after each batch
   growth [n..]  ingest generated scans of so many triangles each and write docs/ingest-growth.md with a plot
   setup         install what the tests need on Debian (needs root)
 ";
@@ -25,6 +26,7 @@ fn main() -> ExitCode {
         "demo" => demo(&rest),
         "test" => test(),
         "fuzz" => fuzz(rest.first().map_or("20", String::as_str)),
+        "soak" => soak(rest.first().map_or("100000000", String::as_str)),
         "growth" => growth::growth(&rest),
         "setup" => setup(),
         _ => {
@@ -89,6 +91,8 @@ fn test() -> Result<()> {
         wasm_check()?;
     }
     fuzz("20")?;
+    // In the profile of the tests: its checks of arithmetic are worth the time.
+    run("cargo", &["run", "--quiet", "-p", "lodestream-tests", "--bin", "soak", "--", "10000000"], &[])?;
     println!("\nall passed in {:.0} s", start.elapsed().as_secs_f64());
     if !missing.is_empty() {
         println!("not tested, for want of tools (`cargo xtask setup` installs them on Debian):");
@@ -142,6 +146,11 @@ fn wasm_check() -> Result<()> {
 
 fn fuzz(seconds: &str) -> Result<()> {
     run("cargo", &["run", "--quiet", "-p", "lodestream-tests", "--bin", "fuzz", "--", "--seconds", seconds], &[])
+}
+
+fn soak(ops: &str) -> Result<()> {
+    let args = ["run", "--quiet", "--release", "-p", "lodestream-tests", "--bin", "soak", "--", ops];
+    run("cargo", &args, &[])
 }
 
 fn setup() -> Result<()> {
