@@ -11,7 +11,7 @@ mod growth;
 const USAGE: &str = "usage: cargo xtask <command>
 
   demo [args]   build everything and run `lodestream-server demo`: a sample model, ingested and served
-  test          everything that has to pass: format, lints, tests, docs, browser build, fuzz smoke, 10^7 ops of soak
+  test          everything that has to pass: format, lints, tests, docs, browser build and its twin, fuzz smoke, 10^7 ops of soak
   fuzz [secs]   mutate frames, batches and mesh files for so many seconds per target (default 20)
   soak [ops]    random sessions until so many ops have crossed (default 10^8), both ends compared after each batch
   growth [n..]  ingest generated scans of so many triangles each and write docs/ingest-growth.md with a plot
@@ -127,13 +127,22 @@ fn rustup_wasm_sysroot() -> bool {
     })
 }
 
+/// Checks that the shared code builds for the browser, and that what it decodes there is what it decodes here.
 fn wasm_check() -> Result<()> {
+    let packages = ["-p", "lodestream-protocol", "-p", "lodestream-client", "--no-default-features"];
+    wasm_cargo("check", &packages)?;
+    wasm_cargo("build", &["-p", "lodestream-wasm-decoder", "--release"])?;
+    let module = target_dir().join("browser/wasm32-unknown-unknown/release/lodestream_wasm_decoder.wasm");
+    let module = module.to_str().context("the path of the project is not UTF-8")?;
+    run("cargo", &["run", "--quiet", "-p", "lodestream-tests", "--bin", "wasm_twin", "--", module], &[])
+}
+
+fn wasm_cargo(command: &str, arguments: &[&str]) -> Result<()> {
     let target = target_dir().join("browser");
     let target = target.to_str().context("the path of the project is not UTF-8")?;
-    let packages = ["-p", "lodestream-protocol", "-p", "lodestream-client", "--no-default-features"];
-    let common = ["check", "--target", "wasm32-unknown-unknown", "--target-dir", target];
+    let common = [command, "--target", "wasm32-unknown-unknown", "--target-dir", target];
     if rustup_wasm_sysroot() {
-        return run("cargo", &[&common[..], &packages].concat(), &[]);
+        return run("cargo", &[&common[..], arguments].concat(), &[]);
     }
     let environment = [
         ("RUSTC_BOOTSTRAP", "1"),
@@ -141,7 +150,7 @@ fn wasm_check() -> Result<()> {
         ("RUSTFLAGS", "-C linker=wasm-ld-19"),
         ("CARGO_INCREMENTAL", "0"),
     ];
-    run("/usr/bin/cargo", &[&common[..], &["-Zbuild-std=std,panic_abort"], &packages].concat(), &environment)
+    run("/usr/bin/cargo", &[&common[..], &["-Zbuild-std=std,panic_abort"], arguments].concat(), &environment)
 }
 
 fn fuzz(seconds: &str) -> Result<()> {
