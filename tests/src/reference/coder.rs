@@ -117,7 +117,7 @@ impl<'a> Tape<'a> {
 
     pub(super) fn zigzag(&mut self, contexts: &mut Contexts, name: &str) -> i32 {
         let number = self.number(contexts, name);
-        if number % 2 == 0 { (number / 2) as i32 } else { -((number / 2) as i32) - 1 }
+        if number.is_multiple_of(2) { (number / 2) as i32 } else { -((number / 2) as i32) - 1 }
     }
 
     pub(super) fn tree(&mut self, contexts: &mut Contexts, name: &str, leaves: u32) -> u32 {

@@ -10,7 +10,7 @@ type Vector = [i64; 3];
 /// `16 log2(x)`, linear between powers of two.
 pub(super) fn lg(x: u64) -> i32 {
     let exponent = x.max(1).ilog2() as i32;
-    let sixteenths = u128::from(x.max(1)) * 16 >> exponent;
+    let sixteenths = (u128::from(x.max(1)) * 16) >> exponent;
     16 * exponent + sixteenths as i32 - 16
 }
 
