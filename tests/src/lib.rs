@@ -1,5 +1,5 @@
 //! What tests of both ends share: generated [`meshes`], models built from them ([`model`]), dull twins ([`naive`]), virtual
-//! links ([`sim`]), real binaries ([`server_process`]), a plain [`reference`] of the codec, fuzz targets ([`fuzz`]), random sessions ([`soak`]) and a CPU rasteriser ([`raster`]) as the oracle for pictures.
+//! links ([`sim`]), real binaries ([`server_process`]), a plain [`mod@reference`] of the codec, fuzz targets ([`fuzz`]), random sessions ([`soak`]) and a CPU rasteriser ([`raster`]) as the oracle for pictures.
 
 pub mod fuzz;
 pub mod meshes;
