@@ -25,7 +25,7 @@ pub struct CachedSplit {
     pub cut_known: bool,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 struct Entry {
     split: CachedSplit,
     /// Next entry below in the same stack.
@@ -42,7 +42,7 @@ struct Entry {
 }
 
 /// Bounded in entries; the oldest entry goes first. Both ends run this code on the same collapses and splits.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SplitCache {
     capacity: u32,
     len: u32,

@@ -18,5 +18,33 @@ pub use troubled::{
     three_on_an_edge, with_zero_area_faces,
 };
 
+use lodestream_server::mesh::TriMesh;
+
+/// One mesh of every kind that matters to a session, by name.
+pub fn every_topology() -> Vec<(&'static str, TriMesh)> {
+    vec![
+        ("empty", empty()),
+        ("single triangle", single_triangle()),
+        ("tetrahedron", tetrahedron()),
+        ("cube", cube()),
+        ("sphere", icosphere(4)),
+        ("torus", torus(40, 20)),
+        ("genus 4", genus(4, 4)),
+        ("grid", grid(30, 20)),
+        ("grid with holes", grid_with_holes(2, 6)),
+        ("open cylinder", cylinder_open(24, 12)),
+        ("disk", disk(24, 6)),
+        ("components", many_components(60, 1)),
+        ("noise", noisy_sphere(3000, 2)),
+        ("colours", colored_sphere(4)),
+        ("painted plane", painted_plane(24)),
+        ("slivers", sliver_strip(60)),
+        ("zero-area faces", with_zero_area_faces(3)),
+        ("bow-tie", bow_tie()),
+        ("moebius", moebius()),
+        ("three on an edge", three_on_an_edge()),
+    ]
+}
+
 #[cfg(test)]
 mod tests;

@@ -5,42 +5,15 @@ use std::time::Duration;
 
 use fastrand::Rng;
 use glam::DVec3;
-use lodestream_protocol::message::ModelInfo;
 use lodestream_protocol::testing::check_replica;
 use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
 use lodestream_server::ingest::simplify::{BuildOptions, PlacementChoice};
-use lodestream_server::mesh::TriMesh;
 use lodestream_server::pack::PAGE_OPS;
 use lodestream_server::session::score::Scorer;
-use lodestream_tests::meshes;
+use lodestream_tests::meshes::{self, every_topology};
 use lodestream_tests::model::TestModel;
 use lodestream_tests::naive::{CompleteMesh, Walker, keyed, ops_for_view, parents, triangles};
-use lodestream_tests::sim::{Disk, LinkShape, Pair, PairConfig};
-
-fn every_topology() -> Vec<(&'static str, TriMesh)> {
-    vec![
-        ("empty", meshes::empty()),
-        ("single triangle", meshes::single_triangle()),
-        ("tetrahedron", meshes::tetrahedron()),
-        ("cube", meshes::cube()),
-        ("sphere", meshes::icosphere(4)),
-        ("torus", meshes::torus(40, 20)),
-        ("genus 4", meshes::genus(4, 4)),
-        ("grid", meshes::grid(30, 20)),
-        ("grid with holes", meshes::grid_with_holes(2, 6)),
-        ("open cylinder", meshes::cylinder_open(24, 12)),
-        ("disk", meshes::disk(24, 6)),
-        ("components", meshes::many_components(60, 1)),
-        ("noise", meshes::noisy_sphere(3000, 2)),
-        ("colours", meshes::colored_sphere(4)),
-        ("painted plane", meshes::painted_plane(24)),
-        ("slivers", meshes::sliver_strip(60)),
-        ("zero-area faces", meshes::with_zero_area_faces(3)),
-        ("bow-tie", meshes::bow_tie()),
-        ("moebius", meshes::moebius()),
-        ("three on an edge", meshes::three_on_an_edge()),
-    ]
-}
+use lodestream_tests::sim::{Disk, LinkShape, Pair, PairConfig, random_view};
 
 /// Every generated mesh in every placement.
 fn every_model(bits: Option<u8>) -> impl Iterator<Item = (String, TestModel)> {
@@ -51,26 +24,6 @@ fn every_model(bits: Option<u8>) -> impl Iterator<Item = (String, TestModel)> {
             (format!("{name}, {placement:?}"), model)
         })
     })
-}
-
-/// A view of the model from a random place, near or far, with a random tolerance.
-fn random_view(rng: &mut Rng, info: &ModelInfo) -> View {
-    let corner = |q| DVec3::from_array(info.lattice.position(q));
-    let (min, max) = (corner(info.box_min), corner(info.box_max));
-    let radius = ((max - min).length() / 2.0).max(1e-3);
-    let direction = DVec3::new(rng.f64() - 0.5, rng.f64() - 0.5, rng.f64() - 0.5).normalize_or(DVec3::Z);
-    let center = (min + max) / 2.0;
-    let target = center + DVec3::new(rng.f64() - 0.5, rng.f64() - 0.5, rng.f64() - 0.5) * radius;
-    let eye = center + direction * radius * (0.7 + 3.0 * rng.f64() * rng.f64());
-    let mut view = View::perspective(eye, target, 0.3 + rng.f32());
-    view.near = radius * 1e-3;
-    view.tolerance_px = [0.0, 0.5, 1.0, 4.0, 20.0][rng.usize(0..5)];
-    view.two_sided = rng.u8(0..4) == 0;
-    view.silhouette_factor = if rng.bool() { 1.0 } else { 3.0 };
-    view.complete = rng.u8(0..8) == 0;
-    let most = (info.triangles as u32).max(info.smallest_limit + 1);
-    view.triangle_limit = if rng.bool() { UNLIMITED_TRIANGLES } else { rng.u32(info.smallest_limit..most + 1) };
-    view
 }
 
 #[test]

@@ -11,11 +11,12 @@ mod growth;
 const USAGE: &str = "usage: cargo xtask <command>
 
   demo [args]   build everything and run `lodestream-server demo`: a sample model, ingested and served
-  test          everything that has to pass: format, lints, tests, docs, browser build, fuzz smoke
+  test          everything that has to pass: format, lints, tests, docs, browser build and its twin, fuzz smoke, 10^7 ops of soak
   fuzz [secs]   mutate frames, batches and mesh files for so many seconds per target (default 20)
   bench [args]  measure the figures of TARGETS.md: [ROW...] [FILE...] [--json] [--bits N] [--runs N]; models of LODESTREAM_MESHES
   paper [file..]
                 measure what Southern, Blake and Marais (2001) report, and write docs/paper.md with a plot
+  soak [ops]    random sessions until so many ops have crossed (default 10^8), both ends compared after each batch
   growth [n..]  ingest generated scans of so many triangles each and write docs/ingest-growth.md with a plot
   setup         install what the tests need on Debian (needs root)
 ";
@@ -30,6 +31,7 @@ fn main() -> ExitCode {
         "fuzz" => fuzz(rest.first().map_or("20", String::as_str)),
         "bench" => program("bench", &rest),
         "paper" => paper(&rest),
+        "soak" => soak(rest.first().map_or("100000000", String::as_str)),
         "growth" => growth::growth(&rest),
         "setup" => setup(),
         _ => {
@@ -114,6 +116,8 @@ fn test() -> Result<()> {
         wasm_check()?;
     }
     fuzz("20")?;
+    // In the profile of the tests: its checks of arithmetic are worth the time.
+    run("cargo", &["run", "--quiet", "-p", "lodestream-tests", "--bin", "soak", "--", "10000000"], &[])?;
     println!("\nall passed in {:.0} s", start.elapsed().as_secs_f64());
     if !missing.is_empty() {
         println!("not tested, for want of tools (`cargo xtask setup` installs them on Debian):");
@@ -148,13 +152,22 @@ fn rustup_wasm_sysroot() -> bool {
     })
 }
 
+/// Checks that the shared code builds for the browser, and that what it decodes there is what it decodes here.
 fn wasm_check() -> Result<()> {
+    let packages = ["-p", "lodestream-protocol", "-p", "lodestream-client", "--no-default-features"];
+    wasm_cargo("check", &packages)?;
+    wasm_cargo("build", &["-p", "lodestream-wasm-decoder", "--release"])?;
+    let module = target_dir().join("browser/wasm32-unknown-unknown/release/lodestream_wasm_decoder.wasm");
+    let module = module.to_str().context("the path of the project is not UTF-8")?;
+    run("cargo", &["run", "--quiet", "-p", "lodestream-tests", "--bin", "wasm_twin", "--", module], &[])
+}
+
+fn wasm_cargo(command: &str, arguments: &[&str]) -> Result<()> {
     let target = target_dir().join("browser");
     let target = target.to_str().context("the path of the project is not UTF-8")?;
-    let packages = ["-p", "lodestream-protocol", "-p", "lodestream-client", "--no-default-features"];
-    let common = ["check", "--target", "wasm32-unknown-unknown", "--target-dir", target];
+    let common = [command, "--target", "wasm32-unknown-unknown", "--target-dir", target];
     if rustup_wasm_sysroot() {
-        return run("cargo", &[&common[..], &packages].concat(), &[]);
+        return run("cargo", &[&common[..], arguments].concat(), &[]);
     }
     let environment = [
         ("RUSTC_BOOTSTRAP", "1"),
@@ -162,11 +175,16 @@ fn wasm_check() -> Result<()> {
         ("RUSTFLAGS", "-C linker=wasm-ld-19"),
         ("CARGO_INCREMENTAL", "0"),
     ];
-    run("/usr/bin/cargo", &[&common[..], &["-Zbuild-std=std,panic_abort"], &packages].concat(), &environment)
+    run("/usr/bin/cargo", &[&common[..], &["-Zbuild-std=std,panic_abort"], arguments].concat(), &environment)
 }
 
 fn fuzz(seconds: &str) -> Result<()> {
     run("cargo", &["run", "--quiet", "-p", "lodestream-tests", "--bin", "fuzz", "--", "--seconds", seconds], &[])
+}
+
+fn soak(ops: &str) -> Result<()> {
+    let args = ["run", "--quiet", "--release", "-p", "lodestream-tests", "--bin", "soak", "--", ops];
+    run("cargo", &args, &[])
 }
 
 fn setup() -> Result<()> {

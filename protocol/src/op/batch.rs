@@ -760,5 +760,10 @@ pub fn encode_trace(trace: &BatchTrace, state: &mut OpState, limit: u32) -> Resu
     Ok(encoder.finish())
 }
 
+#[cfg(any(test, feature = "testing"))]
+mod random;
+#[cfg(any(test, feature = "testing"))]
+pub use random::random_batch;
+
 #[cfg(test)]
 mod tests;

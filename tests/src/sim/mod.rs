@@ -2,6 +2,8 @@
 
 mod link;
 mod pair;
+mod views;
 
 pub use link::{Link, LinkShape};
 pub use pair::{Disk, Pair, PairConfig};
+pub use views::random_view;

@@ -1,0 +1,53 @@
+//! The decoder of ops as a WebAssembly module without imports.
+//!
+//! A host calls [`push`] for each byte of the base and then [`base`], likewise [`push`] and [`batch`] for each batch. It needs no
+//! view of the module's memory. Whatever goes wrong traps.
+
+// Exporting a name is the only thing here that asks for it.
+#![allow(unsafe_code)]
+
+use std::cell::RefCell;
+use std::mem::take;
+
+use lodestream_protocol::op::{OpState, decode_base, decode_batch};
+
+#[derive(Default)]
+struct Module {
+    bytes: Vec<u8>,
+    state: Option<OpState>,
+}
+
+thread_local! {
+    static MODULE: RefCell<Module> = RefCell::default();
+}
+
+fn with<T>(run: impl FnOnce(&mut Module) -> T) -> T {
+    MODULE.with_borrow_mut(run)
+}
+
+/// Adds a byte to what the next call decodes.
+#[unsafe(no_mangle)]
+pub extern "C" fn push(byte: u32) {
+    with(|module| module.bytes.push(byte as u8));
+}
+
+/// Begins a session with the base that was pushed, whatever came before. Returns the digest.
+#[unsafe(no_mangle)]
+pub extern "C" fn base(lattice_bits: u32, has_colors: u32, has_moves: u32, cache_entries: u32) -> u64 {
+    with(|module| {
+        let (bits, has_colors) = (lattice_bits as u8, has_colors != 0);
+        let base = decode_base(&take(&mut module.bytes), bits, has_colors).expect("the base decodes");
+        let state = OpState::new(&base, bits, has_colors, has_moves != 0, cache_entries);
+        module.state.insert(state.expect("the base is a manifold")).replica().digest()
+    })
+}
+
+/// Applies the batch that was pushed. Returns the digest.
+#[unsafe(no_mangle)]
+pub extern "C" fn batch(limit: u32) -> u64 {
+    with(|module| {
+        let state = module.state.as_mut().expect("a base comes first");
+        decode_batch(&take(&mut module.bytes), state, limit).expect("the batch decodes");
+        state.replica().digest()
+    })
+}
