@@ -10,6 +10,6 @@ pub mod reference;
 pub mod screen_error;
 pub mod server_process;
 pub mod sim;
-pub mod source;
 pub mod soak;
+pub mod source;
 pub mod traces;

@@ -2,7 +2,7 @@
 //!
 //! Connectivity is kept as corners and twin half-edges per face, so an op finds everything it needs in the one-ring of one
 //! vertex. What an op depends on is kept as reference counts that both ends infer from the mesh alone
-//! (`PROTOCOL.md`, "Legality").
+//! (`PROTOCOL.md`, "The replica").
 
 use std::collections::BTreeMap;
 

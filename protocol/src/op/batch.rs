@@ -693,6 +693,31 @@ pub fn decode_batch_tallied(
     decode(Observed::new(Decoder::new(bytes), tally), bytes.len(), state, limit)
 }
 
+/// As [`decode_batch`], and says what the coder did step by step. `decisions` is empty before.
+///
+/// # Errors
+/// [`DecodeError`]; the state is then of no use.
+#[cfg(any(test, feature = "testing"))]
+pub fn decode_batch_stepwise(
+    bytes: &[u8],
+    state: &mut OpState,
+    limit: u32,
+    decisions: &mut super::training::Decisions,
+) -> Result<OpCounts, DecodeError> {
+    decisions.attach(|visit| state.for_each_context(visit));
+    decode(Observed::new(Decoder::new(bytes), decisions), bytes.len(), state, limit)
+}
+
+/// See [`training::context_names`](super::training::context_names).
+#[cfg(any(test, feature = "testing"))]
+pub(super) fn context_names() -> [Vec<String>; 2] {
+    let models = Models::new(&TRAINED);
+    let mut names = [Vec::new(), Vec::new()];
+    Contexts::names(&models, "", &mut names[0]);
+    Contexts::names(&models.patch, "", &mut names[1]);
+    names
+}
+
 fn decode<S: Source>(source: S, byte_count: usize, state: &mut OpState, limit: u32) -> Result<OpCounts, DecodeError> {
     let mut rounds = Rounds::new(state, source, false);
     let check = |rounds: &Rounds<'_, S>| match rounds.coder.is_overrun() {

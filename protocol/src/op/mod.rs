@@ -18,7 +18,7 @@ mod trained;
 pub mod training;
 
 #[cfg(any(test, feature = "testing"))]
-pub use batch::{decode_batch_tallied, random_batch};
+pub use batch::{decode_batch_stepwise, decode_batch_tallied, random_batch};
 #[cfg(any(test, feature = "testing"))]
 pub use patch::decode_base_tallied;
 

@@ -76,8 +76,10 @@ pub(crate) enum Note<'a> {
 
 /// Something that watches.
 pub(crate) trait Observer {
-    /// A bit under a context; `cost` is its code length in bits.
-    fn bit(&mut self, context: &Prob, bit: bool, cost: f64);
+    /// A bit under a context, which was `before` until the bit changed it.
+    fn bit(&mut self, context: &Prob, before: Prob, bit: bool);
+    /// A number of `count` bits at even odds.
+    fn raw(&mut self, value: u32, count: u32);
     /// What the models say.
     fn note(&mut self, note: Note<'_>);
 }
@@ -99,13 +101,14 @@ impl<C: BitCoder, O: Observer> BitCoder for Observed<'_, C, O> {
     fn bit(&mut self, p: &mut Prob, bit: bool) -> bool {
         let before = *p;
         let bit = self.coder.bit(p, bit);
-        self.observer.bit(p, bit, before.cost(bit));
+        self.observer.bit(p, before, bit);
         bit
     }
 
     fn raw(&mut self, value: u32, count: u32) -> u32 {
-        self.observer.bit(&Prob::HALF, false, f64::from(count));
-        self.coder.raw(value, count)
+        let value = self.coder.raw(value, count);
+        self.observer.raw(value, count);
+        value
     }
 
     fn note(&mut self, note: Note<'_>) {
@@ -138,8 +141,12 @@ impl Breakdown {
 }
 
 impl Observer for Breakdown {
-    fn bit(&mut self, _: &Prob, _: bool, cost: f64) {
-        self.pending += cost;
+    fn bit(&mut self, _: &Prob, before: Prob, bit: bool) {
+        self.pending += before.cost(bit);
+    }
+
+    fn raw(&mut self, _: u32, count: u32) {
+        self.pending += f64::from(count);
     }
 
     fn note(&mut self, note: Note<'_>) {
@@ -163,7 +170,9 @@ pub struct BatchTrace {
 }
 
 impl Observer for BatchTrace {
-    fn bit(&mut self, _: &Prob, _: bool, _: f64) {}
+    fn bit(&mut self, _: &Prob, _: Prob, _: bool) {}
+
+    fn raw(&mut self, _: u32, _: u32) {}
 
     fn note(&mut self, note: Note<'_>) {
         match note {

@@ -24,9 +24,9 @@ impl Prob {
         Self { fast: zero, slow: zero }
     }
 
-    /// In `1 ..= 65535`.
+    /// In `32 ..= 65504`.
     #[inline]
-    fn zero(self) -> u32 {
+    pub(crate) fn zero(self) -> u32 {
         ((u32::from(self.fast) + u32::from(self.slow)) >> 1).clamp(32, 65_536 - 32)
     }
 
@@ -399,6 +399,10 @@ pub(crate) trait Contexts {
     /// Calls `visit` with each context.
     fn for_each(&mut self, visit: &mut dyn FnMut(&mut Prob));
 
+    /// Adds the names of the contexts in the same order; `name` is that of the whole.
+    #[cfg(any(test, feature = "testing"))]
+    fn names(&self, name: &str, out: &mut Vec<String>);
+
     /// Sets the chance of a 0 in each context, in 1/2^16; those beyond the end of `priors` stay as they are.
     fn start_from(&mut self, priors: &[u16]) {
         let mut priors = priors.iter();
@@ -414,17 +418,34 @@ impl Contexts for Prob {
     fn for_each(&mut self, visit: &mut dyn FnMut(&mut Prob)) {
         visit(self);
     }
+
+    #[cfg(any(test, feature = "testing"))]
+    fn names(&self, name: &str, out: &mut Vec<String>) {
+        out.push(name.into());
+    }
 }
 
 impl<T: Contexts, const N: usize> Contexts for [T; N] {
     fn for_each(&mut self, visit: &mut dyn FnMut(&mut Prob)) {
         self.iter_mut().for_each(|each| each.for_each(visit));
     }
+
+    #[cfg(any(test, feature = "testing"))]
+    fn names(&self, name: &str, out: &mut Vec<String>) {
+        for (i, each) in self.iter().enumerate() {
+            each.names(&format!("{name}[{i}]"), out);
+        }
+    }
 }
 
 impl<const NODES: usize> Contexts for TreeModel<NODES> {
     fn for_each(&mut self, visit: &mut dyn FnMut(&mut Prob)) {
         self.nodes.for_each(visit);
+    }
+
+    #[cfg(any(test, feature = "testing"))]
+    fn names(&self, name: &str, out: &mut Vec<String>) {
+        self.nodes.names(name, out);
     }
 }
 
@@ -434,6 +455,16 @@ macro_rules! contexts {
         impl $crate::op::range_coder::Contexts for $name {
             fn for_each(&mut self, visit: &mut dyn FnMut(&mut $crate::op::range_coder::Prob)) {
                 $($crate::op::range_coder::Contexts::for_each(&mut self.$field, visit);)+
+            }
+
+            #[cfg(any(test, feature = "testing"))]
+            fn names(&self, name: &str, out: &mut Vec<String>) {
+                let dot = if name.is_empty() { "" } else { "." };
+                $($crate::op::range_coder::Contexts::names(
+                    &self.$field,
+                    &format!("{name}{dot}{}", stringify!($field)),
+                    out,
+                );)+
             }
         }
     };

@@ -78,10 +78,73 @@ impl Tally {
 }
 
 impl Observer for Tally {
-    fn bit(&mut self, context: &Prob, bit: bool, _: f64) {
+    fn bit(&mut self, context: &Prob, _: Prob, bit: bool) {
         if let Some(&index) = self.by_address.get(&std::ptr::from_ref(context).addr()) {
             self.counts[index][usize::from(bit)] += 1.0;
         }
+    }
+
+    fn raw(&mut self, _: u32, _: u32) {}
+
+    fn note(&mut self, _: Note<'_>) {}
+}
+
+/// Names of the contexts of a session's batches: by the order of [`Trained::priors`](super::Trained::priors), then by that of
+/// [`Trained::patch_priors`](super::Trained::patch_priors).
+pub fn context_names() -> [Vec<String>; 2] {
+    super::batch::context_names()
+}
+
+/// One step of the coder.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Decision {
+    /// A bit under a context.
+    Bit {
+        /// Name of the context, see [`context_names`].
+        context: String,
+        /// Chance of a 0 before, in 1/2^16.
+        zero: u32,
+        /// The bit.
+        bit: bool,
+    },
+    /// A number at even odds.
+    Raw {
+        /// The number.
+        value: u32,
+        /// Its bits.
+        count: u32,
+    },
+}
+
+/// Every step of the coder through a batch, in order.
+#[derive(Debug, Default)]
+pub struct Decisions {
+    /// The steps.
+    pub steps: Vec<Decision>,
+    by_address: std::collections::BTreeMap<usize, String>,
+}
+
+impl Decisions {
+    /// Finds the contexts that `for_each` names; they must stay where they are until what they code is decoded.
+    pub(super) fn attach(&mut self, for_each: impl FnOnce(&mut dyn FnMut(&mut Prob))) {
+        let [batch, patch] = context_names();
+        let mut names = batch.into_iter().chain(patch.into_iter().map(|name| format!("patch.{name}")));
+        self.by_address.clear();
+        for_each(&mut |context| {
+            let name = names.next().unwrap_or_default();
+            self.by_address.insert(std::ptr::from_ref(context).addr(), name);
+        });
+    }
+}
+
+impl Observer for Decisions {
+    fn bit(&mut self, context: &Prob, before: Prob, bit: bool) {
+        let context = self.by_address.get(&std::ptr::from_ref(context).addr()).cloned().unwrap_or_default();
+        self.steps.push(Decision::Bit { context, zero: before.zero(), bit });
+    }
+
+    fn raw(&mut self, value: u32, count: u32) {
+        self.steps.push(Decision::Raw { value, count });
     }
 
     fn note(&mut self, _: Note<'_>) {}

@@ -3,7 +3,8 @@
 //! Sessions over the meshes and over generated ones give samples. Weights of the predicted position and of the expected sizes
 //! are least squares, the score of cuts is a softmax fitted by gradient descent, the start of each context is how often
 //! it saw a 0 over all sessions, each counting for at most [`SESSION_SPLITS`] splits. The table is written to standard output;
-//! with `--apart`, what each mesh costs with numbers learnt without it, and with even odds, is printed instead.
+//! `protocol/tests/numbers.rs` then writes it as data. With `--apart`, what each mesh costs with numbers learnt without it, and
+//! with even odds, is printed instead.
 
 use std::cell::RefCell;
 use std::fmt::Write as _;

@@ -1,3 +1,6 @@
+mod reader;
+
+use self::reader::Reader;
 use super::random::random_batch;
 use super::*;
 use crate::testing::{OperationRng, base_meshes, check_replica};
@@ -23,6 +26,29 @@ fn both_ends_agree_after_every_batch() {
                 assert!(client.replica.triangle_count() <= limit.max(base.faces.len() as u32), "{what}");
             }
             check_replica(&client.replica).unwrap_or_else(|e| panic!("{name} {seed}: {e}"));
+        }
+    }
+}
+
+/// The text is enough: a reader written from it gets every mesh.
+#[test]
+fn a_reader_written_from_the_text_agrees() {
+    let patches: Vec<Patch> = base_meshes().into_iter().map(|(_, patch)| patch).collect();
+    for (name, base) in base_meshes() {
+        for seed in 0..3 {
+            let mut rng = OperationRng::new(seed * 31 + 5);
+            let capacity = rng.below(60);
+            let (has_colors, has_moves) = (seed != 1, seed > 0);
+            let mut server = OpState::new(&base, 12, has_colors, has_moves, capacity).unwrap();
+            let mut reader = Reader::new(&base, 12, has_colors, has_moves, capacity);
+            let limit = 40 + rng.below(200);
+            let mut next_id = 0;
+            for batch in 0..20 {
+                let (bytes, _) = random_batch(&mut rng, &mut server, &patches, limit, &mut next_id);
+                let what = format!("{name} seed {seed} batch {batch}");
+                reader.batch(&bytes, limit).unwrap_or_else(|fault| panic!("{what}: {fault:?}"));
+                assert_eq!(reader.digest(), server.replica.digest(), "{what}");
+            }
         }
     }
 }
