@@ -172,6 +172,7 @@ fn area_shares(ring: &Ring) -> [i32; MAX_SPOKES] {
 }
 
 /// Calls `visit` with right spoke, arc length and features of each pair of spokes of a closed ring, in the order of coding.
+#[cfg(any(test, feature = "testing"))]
 pub(crate) fn for_each_pair(ring: &Ring, mut visit: impl FnMut(u32, u32, CutFeatures)) {
     let spokes = ring.spokes.len();
     let shares = area_shares(ring);
