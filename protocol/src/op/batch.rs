@@ -18,7 +18,7 @@ use crate::ids::VertexSlot;
 use crate::limits::MAX_OPS_PER_BATCH;
 use crate::mesh::{ApplyError, Cut, Fan, NewVertex, Patch, PatchError, Replica, SlotSet};
 
-/// Contexts of gaps by how the gap before it was against what was expected.
+/// Contexts of gaps by how the gaps before were against what is expected.
 const GAP_CLASSES: usize = 4;
 
 /// Everything that an op changes and that both ends hold alike: mesh, op cache, coder contexts.

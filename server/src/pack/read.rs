@@ -7,6 +7,7 @@ use std::sync::{Arc, OnceLock};
 use lodestream_protocol::ids::ModelHash;
 use lodestream_protocol::mesh::Patch;
 use lodestream_protocol::message::ModelInfo;
+use lodestream_protocol::op::encode_base;
 
 use super::header::{check_section, read_model, read_table};
 use super::layout::{
@@ -51,6 +52,7 @@ pub struct PackedModel {
     info: ModelInfo,
     metadata: Metadata,
     base: Patch,
+    coded_base: OnceLock<Vec<u8>>,
     base_first_splits: Vec<u32>,
     context: PageContext,
     sections: Vec<(Option<Section>, SectionEntry)>,
@@ -175,6 +177,7 @@ impl PackedModel {
             info,
             metadata,
             base,
+            coded_base: OnceLock::new(),
             base_first_splits,
             context,
             spawn_table,
@@ -223,6 +226,12 @@ impl PackedModel {
     /// The mesh before any op, an oriented manifold.
     pub fn base(&self) -> &Patch {
         &self.base
+    }
+
+    /// The same as a welcome carries it. Coded when it is first asked for, once for all clients.
+    pub fn coded_base(&self) -> &[u8] {
+        let ModelInfo { lattice, has_colors, .. } = &self.info;
+        self.coded_base.get_or_init(|| encode_base(&self.base, lattice.bits, *has_colors))
     }
 
     /// First split of each base vertex, or `NO_OP`.

@@ -29,7 +29,6 @@ use lodestream_protocol::mesh::{Replica, SlotSet};
 use lodestream_protocol::message::{
     Batch, ClientMessage, CloseCode, Hello, Outcome, PROTOCOL_VERSION, ServerMessage, Settled,
 };
-use lodestream_protocol::op::encode_base;
 use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::View;
 use lodestream_protocol::wire;
@@ -383,7 +382,7 @@ impl Session {
         self.control.push_back(ServerMessage::Welcome {
             model: info.clone(),
             cache_entries,
-            base: encode_base(self.model.base(), info.lattice.bits, info.has_colors),
+            base: self.model.coded_base().to_vec(),
         });
         self.running = Some(Running {
             cache_entries,

@@ -17,8 +17,9 @@ use crate::ingest::hierarchy::{Point, bounds::Carried, deviation::Samples};
 
 /// Share of the edges that a pass considers, cheapest first.
 const SHARE: f64 = 0.2;
-/// The same once there are at most [`FEW_EDGES`] of components that are simplified to the end. What is left then is what coarse meshes are made of, and passes over it
-/// cost next to nothing: the closer they come to the exact order of costs, the less a mesh of 1 % of the triangles strays.
+/// The same once there are at most [`FEW_EDGES`] of components that are simplified to the end. What is left then is what coarse
+/// meshes are made of, and passes over it cost next to nothing: the closer they come to the exact order of costs, the less a
+/// mesh of 1 % of the triangles strays.
 const SHARE_OF_FEW: f64 = 0.05;
 const FEW_EDGES: u32 = 1 << 16;
 /// Fewest edges that a pass considers.
