@@ -69,6 +69,11 @@ impl Mirror {
         self.slot_of.iter().map(|(&op, &slot)| (op, slot))
     }
 
+    /// Slot that an applied op is addressed by.
+    pub(crate) fn slot(&self, op: u32) -> Option<u32> {
+        self.slot_of.get(&op).copied()
+    }
+
     pub(crate) fn is_applied(&self, op: u32) -> bool {
         self.slot_of.contains_key(&op)
     }
@@ -125,7 +130,7 @@ fn collapse(
         let mut triangles = replica.triangle_count();
         let mut consider = |slot: u32| {
             let needs_room = triangles > target;
-            if !plan.stale.contains(slot) || (!needs_room && plan.reluctant.contains(slot)) {
+            if !replica.collapsible().contains(slot) || (!needs_room && plan.reluctant.contains(slot)) {
                 return true;
             }
             if needs_room {
@@ -139,9 +144,9 @@ fn collapse(
             true
         };
         if is_first {
-            replica.collapsible().iter().all(&mut consider);
+            plan.stale.iter().all(&mut consider);
         } else {
-            encoder.candidates().all(&mut consider);
+            encoder.candidates().filter(|&slot| plan.stale.contains(slot)).all(&mut consider);
         }
         is_first = false;
         for &slot in &members {

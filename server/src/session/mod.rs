@@ -11,6 +11,8 @@
 //! `score` judges one op for a view, `select` finds the set of ops that a view asks for, `mirror` keeps the client's state
 //! and encodes, `pacer` says how much may be on its way.
 
+mod front;
+mod goal;
 mod mirror;
 mod order;
 mod pacer;
@@ -33,10 +35,10 @@ use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::View;
 use lodestream_protocol::wire;
 
+use self::goal::{Aim, Goal};
 use self::mirror::{BatchPlan, Mirror, MirrorError};
 use self::pacer::Pacer;
-use self::score::Scorer;
-use self::select::{PageAccess, select};
+use self::select::PageAccess;
 pub use self::select::{ops_by_error, ops_for_view};
 use crate::pack::{PackError, PackedModel, PageId};
 
@@ -155,6 +157,7 @@ pub struct Session {
 struct Running {
     cache_entries: u32,
     mirror: Mirror,
+    goal: Goal,
     pacer: Pacer,
     last_seq: BatchSeq,
     /// Limit and threshold as the last batch left them, which the next one need not repeat.
@@ -267,6 +270,7 @@ impl Session {
             (ClientMessage::Reset { .. }, Some(running)) => {
                 self.stats.resets += 1;
                 running.mirror = Mirror::new(&self.model, running.cache_entries)?;
+                running.goal.restart();
                 running.pacer.restart(now);
                 running.last_seq = BatchSeq(0);
                 running.told = None;
@@ -293,7 +297,8 @@ impl Session {
             return Ok(None);
         }
         if running.work.is_none() {
-            running.work = Some(Work::new(&self.model, self.access, &current.view, &running.mirror)?);
+            let aim = running.goal.aim(&self.model, self.access, &current.view, &running.mirror)?;
+            running.work = Some(Work::new(self.access, aim, &running.mirror));
         }
         let work = running.work.as_mut().expect("made above");
         if work.has_settled {
@@ -387,6 +392,7 @@ impl Session {
         self.running = Some(Running {
             cache_entries,
             mirror: Mirror::new(&self.model, cache_entries)?,
+            goal: Goal::default(),
             pacer: Pacer::new(self.config.max_window_bytes, hello.byte_rate, now),
             last_seq: BatchSeq(0),
             told: None,
@@ -409,38 +415,34 @@ impl Running {
             .work
             .as_ref()
             .map_or(0, |work| work.pending.capacity() * 4 + work.stale.heap_bytes() + work.reluctant.heap_bytes());
-        self.mirror.heap_bytes() + work
+        self.mirror.heap_bytes() + self.goal.heap_bytes() + work
     }
 }
 
 impl Work {
-    fn new(model: &PackedModel, access: PageAccess, view: &View, mirror: &Mirror) -> Result<Self, PackError> {
-        let scorer = Scorer::new(view, model.info());
-        let selection = select(model, &scorer, view.triangle_limit, access)?;
-        let is_whole = selection.missing.is_empty();
+    fn new(access: PageAccess, aim: Aim, mirror: &Mirror) -> Self {
+        let is_whole = aim.missing.is_empty();
         let (mut stale, mut reluctant) = (SlotSet::default(), SlotSet::default());
-        for (op, slot) in mirror.applied() {
-            if !selection.set.contains(&op) {
-                stale.insert(slot);
-                // What a part of P* leaves out may belong to the whole.
-                if !is_whole || scorer.priority(&model.bounds(op)?) > HYSTERESIS_SHARE * selection.lambda {
-                    reluctant.insert(slot);
-                }
+        for (op, priority) in aim.stale {
+            let Some(slot) = mirror.slot(op) else { continue };
+            stale.insert(slot);
+            // What a part of P* leaves out may belong to the whole.
+            if !is_whole || priority > HYSTERESIS_SHARE * aim.lambda {
+                reluctant.insert(slot);
             }
         }
-        let pending = order::sending_order(model, &selection, |op| mirror.is_applied(op))?;
-        Ok(Self {
-            pending,
+        Self {
+            pending: aim.pending,
             next: 0,
             stale,
             reluctant,
-            lambda: selection.lambda,
-            error: selection.error,
-            is_limited: selection.is_limited,
+            lambda: aim.lambda,
+            error: aim.error,
+            is_limited: aim.is_limited,
             is_announced: access == PageAccess::Blocking,
-            missing: selection.missing,
+            missing: aim.missing,
             has_settled: false,
-        })
+        }
     }
 
     fn outcome(&self) -> Outcome {
@@ -468,8 +470,8 @@ impl Work {
         let budget = (allowance / BYTES_PER_SPLIT).max(MIN_OPS).min(MAX_OPS_PER_BATCH as usize / 4);
         let left = &self.pending[self.next..];
         let ops = if is_over { &[] } else { &left[..fitting(model, left, budget)?] };
-        let may_go = |slot| self.stale.contains(slot) && !self.reluctant.contains(slot);
-        if ops.is_empty() && !is_over && !mirror.replica().collapsible().iter().any(may_go) {
+        let may_go = |slot| mirror.replica().collapsible().contains(slot) && !self.reluctant.contains(slot);
+        if ops.is_empty() && !is_over && !self.stale.iter().any(may_go) {
             return Ok(None);
         }
         // What a view left behind goes in small shares while there are splits to send, then as fast as the link allows.

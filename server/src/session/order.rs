@@ -5,54 +5,53 @@
 //! naming them costs fewer bits the less of the mesh the batch is. A mesh never waits for more than one band to have all of
 //! what is twice as important.
 
-use super::select::{OpSet, Selection};
+use super::score::Scorer;
+use super::select::OpSet;
 use crate::mesh::morton::morton;
+use crate::pack::record::NO_OP;
 use crate::pack::{PackError, PackedModel};
 
-/// Ops of a selection that are not applied yet, parents before children. O(n log n) for n ops.
+/// The ops in the order in which they are sent, parents before children. `ops` have no parents that are not applied but among
+/// themselves. O(n log n) for n ops.
 ///
 /// # Errors
 /// [`PackError`] if a page is damaged.
-pub(super) fn sending_order(
-    model: &PackedModel,
-    selection: &Selection,
-    is_applied: impl Fn(u32) -> bool,
-) -> Result<Vec<u32>, PackError> {
-    let mut out = Vec::new();
-    let mut band: Vec<(u64, u32)> = Vec::new();
-    let mut waiting = OpSet::default();
+pub(super) fn sending_order(model: &PackedModel, scorer: &Scorer, ops: &[u32]) -> Result<Vec<u32>, PackError> {
+    let mut ranked: Vec<(u32, u64, u32)> = Vec::with_capacity(ops.len());
+    for &op in ops {
+        let bounds = model.bounds(op)?;
+        let priority = scorer.priority(&bounds);
+        // Components arrive by their size: they are named by number in any case.
+        let place = match op < model.spawn_count() {
+            true => u64::from(!priority.to_bits()),
+            false => 1 << 63 | morton(bounds.center, model.info().lattice.max_coordinate()),
+        };
+        ranked.push((!band(priority), place, op));
+    }
+    ranked.sort_unstable();
+    let mut waiting: OpSet = ops.iter().copied().collect();
+    let mut out = Vec::with_capacity(ops.len());
     let mut stack = Vec::new();
-    let ends = selection.band_ends.iter().copied().filter(|&end| end < selection.ops.len());
-    let mut start = 0;
-    for end in ends.chain([selection.ops.len()]) {
-        band.clear();
-        for &op in selection.ops[start..end].iter().filter(|&&op| !is_applied(op)) {
-            // Components arrive by their size: they are named by number in any case.
-            if op < model.spawn_count() {
-                out.push(op);
-            } else {
-                band.push((morton(model.bounds(op)?.center, model.info().lattice.max_coordinate()), op));
-            }
-        }
-        start = end;
-        band.sort_unstable();
-        waiting.clear();
-        waiting.extend(band.iter().map(|&(_, op)| op));
-        for &(_, op) in &band {
-            // Depth first over parents. Each op is entered once, so damaged parents cannot make it loop.
-            enter(model, &mut waiting, &mut stack, op)?;
-            while let Some((op, parents, next)) = stack.last_mut() {
-                let Some(&parent) = parents.get(*next) else {
-                    out.push(*op);
-                    stack.pop();
-                    continue;
-                };
-                *next += 1;
-                enter(model, &mut waiting, &mut stack, parent)?;
-            }
+    for (_, _, op) in ranked {
+        // Depth first over parents, some of which matter less by themselves. Each op is entered once, so damaged parents cannot
+        // make it loop.
+        enter(model, &mut waiting, &mut stack, op)?;
+        while let Some((op, parents, next)) = stack.last_mut() {
+            let Some(&parent) = parents.get(*next) else {
+                out.push(*op);
+                stack.pop();
+                continue;
+            };
+            *next += 1;
+            enter(model, &mut waiting, &mut stack, parent)?;
         }
     }
     Ok(out)
+}
+
+/// Number of the band of a priority: its octave.
+fn band(priority: f32) -> u32 {
+    priority.to_bits() >> 23
 }
 
 /// Takes `op` up if it waits.
@@ -63,21 +62,21 @@ fn enter(
     op: u32,
 ) -> Result<(), PackError> {
     if waiting.remove(&op) {
-        stack.push((op, model.parents(op)?.0, 0));
+        let parents = if op < model.spawn_count() { [NO_OP; 3] } else { model.parents(op)?.0 };
+        stack.push((op, parents, 0));
     }
     Ok(())
 }
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeSet;
+    use std::collections::{BTreeMap, BTreeSet};
 
     use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
 
     use super::*;
     use crate::pack::testing::{DagOptions, random_dag};
     use crate::pack::{Metadata, write_to_vec};
-    use crate::session::score::Scorer;
     use crate::session::select::{PageAccess, select};
 
     #[test]
@@ -91,26 +90,41 @@ mod tests {
             (view.tolerance_px, view.two_sided) = (0.0, true);
             let scorer = if seed % 2 == 0 { Scorer::complete() } else { Scorer::new(&view, model.info()) };
             let selection = select(&model, &scorer, UNLIMITED_TRIANGLES, PageAccess::Blocking).unwrap();
-            let is_applied = |op: u32| op % 7 == seed as u32 && op.is_multiple_of(3);
-            let order = sending_order(&model, &selection, is_applied).unwrap();
-            let pending: BTreeSet<u32> = selection.ops.iter().copied().filter(|&op| !is_applied(op)).collect();
-            assert_eq!(order.iter().copied().collect::<BTreeSet<u32>>(), pending);
-            assert_eq!(order.len(), pending.len(), "none comes twice");
-            let rank = |op: u32| order.iter().position(|&other| other == op);
-            let mut ends = selection.band_ends.clone();
-            ends.push(selection.ops.len());
-            let band_of = |op: u32| {
-                let at = selection.ops.iter().position(|&other| other == op).unwrap();
-                ends.iter().position(|&end| at < end).unwrap()
-            };
-            assert!(order.windows(2).all(|pair| band_of(pair[0]) <= band_of(pair[1])));
-            for &op in order.iter().filter(|&&op| op >= model.spawn_count()) {
-                let (parents, count) = model.parents(op).unwrap();
-                for &parent in &parents[..count] {
-                    assert!(is_applied(parent) || rank(parent) < rank(op), "seed {seed}: {parent} after {op}");
+            // Any part that is closed under parents may be applied.
+            let mut applied = OpSet::default();
+            for (i, &op) in selection.ops.iter().enumerate() {
+                let (parents, count) =
+                    if op < model.spawn_count() { ([NO_OP; 3], 0) } else { model.parents(op).unwrap() };
+                if i % 5 != seed as usize % 5 && parents[..count].iter().all(|parent| applied.contains(parent)) {
+                    applied.insert(op);
                 }
             }
-            assert!(ends.len() > 3, "one band tells nothing: {ends:?}");
+            let pending: Vec<u32> = selection.ops.iter().copied().filter(|op| !applied.contains(op)).collect();
+            let order = sending_order(&model, &scorer, &pending).unwrap();
+            let set = |ops: &[u32]| ops.iter().copied().collect::<BTreeSet<u32>>();
+            assert_eq!(set(&order), set(&pending));
+            assert_eq!(order.len(), pending.len(), "none comes twice");
+            assert!(!applied.is_empty() && order.len() > 100, "{} and {}", applied.len(), order.len());
+            let rank: BTreeMap<u32, usize> = order.iter().enumerate().map(|(rank, &op)| (op, rank)).collect();
+            // The band in which an op is sent is the highest of those of what needs it.
+            let mut bands: BTreeMap<u32, u32> = BTreeMap::new();
+            for &op in order.iter().rev() {
+                let own = band(scorer.priority(&model.bounds(op).unwrap()));
+                let at = *bands.entry(op).and_modify(|at| *at = own.max(*at)).or_insert(own);
+                if op < model.spawn_count() {
+                    continue;
+                }
+                let (parents, count) = model.parents(op).unwrap();
+                for &parent in &parents[..count] {
+                    if !applied.contains(&parent) {
+                        assert!(rank[&parent] < rank[&op], "seed {seed}: {parent} after {op}");
+                        bands.entry(parent).and_modify(|other| *other = at.max(*other)).or_insert(at);
+                    }
+                }
+            }
+            assert!(order.windows(2).all(|pair| bands[&pair[0]] >= bands[&pair[1]]), "seed {seed}");
+            let different: BTreeSet<u32> = bands.values().copied().collect();
+            assert!(different.len() > 3, "one band tells nothing: {different:?}");
         }
     }
 }

@@ -54,6 +54,21 @@ enum Facing {
 }
 
 impl Scorer {
+    /// Factor of priorities at silhouettes.
+    pub(super) fn silhouette_factor(&self) -> f64 {
+        self.silhouette_factor
+    }
+
+    /// Depths below which sizes grow no more, in lattice steps.
+    pub(super) fn near(&self) -> f64 {
+        self.near
+    }
+
+    /// The eye, in lattice steps.
+    pub(super) fn eye(&self) -> DVec3 {
+        self.eye
+    }
+
     /// Prepares a view of a model.
     pub fn new(view: &View, model: &ModelInfo) -> Self {
         let lattice = &model.lattice;
@@ -142,28 +157,49 @@ impl Scorer {
             Measure::Volume => return error * bounds.radius.decode(),
             Measure::Pixels => {}
         }
+        let probe = self.probe(bounds);
+        if probe.is_out() { 0.0 } else { probe.pixels as f32 }
+    }
+
+    /// What decides about an op in a view with a camera, see [`Probe`]. About 15 ns.
+    #[inline]
+    pub(super) fn probe(&self, bounds: &Bounds) -> Probe {
         let center = DVec3::new(f64::from(bounds.center[0]), f64::from(bounds.center[1]), f64::from(bounds.center[2]));
         let radius = f64::from(bounds.radius.decode());
-        if self.planes.iter().any(|plane| plane.normal.dot(center) + plane.offset < -radius) {
-            return 0.0;
+        let mut inside = f64::INFINITY;
+        for plane in &self.planes {
+            inside = inside.min(plane.normal.dot(center) + plane.offset);
         }
+        inside += radius;
         let to_center = center - self.eye;
         let distance = to_center.length();
-        let facing = self.facing(&bounds.cone, to_center, distance, radius);
-        if facing == Facing::Away && self.culls_facing_away {
-            return 0.0;
-        }
-        let mut pixels = f64::from(error) * self.pixel_scale;
+        let (facing, away) = self.facing(&bounds.cone, to_center, distance, radius);
+        let away = if self.culls_facing_away { away } else { f64::NEG_INFINITY };
+        let error = f64::from(bounds.error.decode()) * self.pixel_scale;
+        // Size on screen goes by depth, not distance: of two lower bounds on the depth of what is in the frustum and in
+        // the sphere, the first serves near the axis, the other for large spheres beside it. Both grow as spheres shrink.
+        let depth = match self.parallel {
+            None => (to_center.dot(self.forward) - radius).max((distance - radius) * self.corner_cosine),
+            Some(_) => 1.0,
+        };
+        let mut pixels = error;
         if self.parallel.is_none() {
-            // Size on screen goes by depth, not distance: of two lower bounds on the depth of what is in the frustum and in
-            // the sphere, the first serves near the axis, the other for large spheres beside it. Both grow as spheres shrink.
-            let depth = (to_center.dot(self.forward) - radius).max((distance - radius) * self.corner_cosine);
             pixels /= depth.max(self.near);
         }
         if facing == Facing::Both {
             pixels *= self.silhouette_factor;
         }
-        pixels as f32
+        let depth_moves = self.parallel.is_none();
+        Probe {
+            inside,
+            is_away: facing == Facing::Away && self.culls_facing_away,
+            away,
+            error,
+            depth,
+            depth_moves,
+            pixels,
+            distance,
+        }
     }
 
     /// Not less than the priority of any spawn whose error is at most so many lattice steps: its centre lies in the model's box
@@ -194,28 +230,100 @@ impl Scorer {
         if self.measure == Measure::Pixels { priority } else { bounds.error.decode() }
     }
 
-    fn facing(&self, cone: &Cone, to_center: DVec3, distance: f64, radius: f64) -> Facing {
-        let Some((axis, sin, cos)) = cone.decode() else { return Facing::Both };
+    /// Which way the cone's directions face from everywhere in the sphere, and how far the eye has to move before that may
+    /// begin to be (negative) or cease to be (positive) [`Facing::Away`].
+    #[inline]
+    fn facing(&self, cone: &Cone, to_center: DVec3, distance: f64, radius: f64) -> (Facing, f64) {
+        let Some((axis, sin, cos)) = cone.decode() else { return (Facing::Both, f64::NEG_INFINITY) };
         // Angle by which the direction to a point of the sphere may differ from the direction to its centre.
         let (direction, sin_extent) = match self.parallel {
             Some(direction) => (direction, 0.0),
-            None if distance <= radius => return Facing::Both,
+            None if distance <= radius => return (Facing::Both, distance - radius),
             None => (to_center / distance, radius / distance),
         };
         let cos_extent = (1.0 - sin_extent * sin_extent).max(0.0).sqrt();
         let (sin, cos) = (f64::from(sin), f64::from(cos));
         // All normals and directions differ from the two axes by at most the sum of both angles.
-        if cos * cos_extent - sin * sin_extent <= 0.0 {
-            return Facing::Both;
-        }
+        let cos_sum = cos * cos_extent - sin * sin_extent;
         let sin_sum = sin * cos_extent + cos * sin_extent;
         let along = direction.dot(axis.as_dvec3());
-        if along > sin_sum {
-            Facing::Away
-        } else if along < -sin_sum {
-            Facing::Toward
-        } else {
-            Facing::Both
-        }
+        let facing = match along {
+            _ if cos_sum <= 0.0 => Facing::Both,
+            _ if along > sin_sum => Facing::Away,
+            _ if along < -sin_sum => Facing::Toward,
+            _ => Facing::Both,
+        };
+        // The angle from what faces away least to a right angle; a point of the sphere turns by no more than the motion over
+        // its distance, as a sine.
+        let across = (1.0 - along * along).max(0.0).sqrt();
+        let (sin_margin, cos_margin) = (cos_sum * along - sin_sum * across, sin_sum * along + cos_sum * across);
+        // Beyond a right angle it can only be on the other side: nothing faces away by more than that.
+        let sine = if cos_margin >= 0.0 { sin_margin } else { -1.0 };
+        (facing, sine * (distance - radius).max(0.0))
+    }
+}
+
+/// What decides about an op, and how far the camera may move before the decision may change. Motions are in lattice steps: the
+/// way of the eye plus the angle it turns by, in radians, times the distance to the sphere's centre (ALGORITHMS 3.2).
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Probe {
+    /// How far inside the frustum the sphere reaches, negative outside.
+    inside: f64,
+    is_away: bool,
+    /// How far it is to or (positive) from facing away.
+    away: f64,
+    /// Pixels at depth 1, without the silhouette factor.
+    error: f64,
+    depth: f64,
+    /// Whether pixels go by depth at all.
+    depth_moves: bool,
+    pixels: f64,
+    /// From the eye to the sphere's centre.
+    pub(super) distance: f64,
+}
+
+/// Share of a depth that its rounding may come to, generously.
+const ROUNDING: f64 = 1e-6;
+
+impl Probe {
+    /// Whether the op cannot be seen.
+    #[inline]
+    pub(super) fn is_out(&self) -> bool {
+        self.inside < 0.0 || self.is_away
+    }
+
+    /// Its priority, see [`Scorer::priority`].
+    #[inline]
+    pub(super) fn priority(&self) -> f32 {
+        if self.is_out() { 0.0 } else { self.pixels as f32 }
+    }
+
+    /// Motion after which an op may cease to be seen at over `guard` pixels; at least so many are seen now.
+    #[inline]
+    pub(super) fn stays_over(&self, guard: f64) -> f64 {
+        let cull = self.inside.min(-self.away);
+        let slack = match self.depth_moves {
+            true => cull.min(self.error / guard - self.depth),
+            false if self.error > guard => cull,
+            // It owes that to the factor of silhouettes.
+            false => 0.0,
+        };
+        slack - ROUNDING * self.distance
+    }
+
+    /// Motion after which an op may be seen at over `guard` pixels, being smaller (`factor` is that of silhouettes) or out of
+    /// sight now; and whether only the latter keeps it out, so that the guard does not matter.
+    #[inline]
+    pub(super) fn stays_under(&self, guard: f64, factor: f64, near: f64) -> (f64, bool) {
+        let hidden = if self.is_out() { (-self.inside).max(self.away) } else { 0.0 };
+        let error = self.error * factor;
+        let small = match self.depth_moves {
+            _ if error <= guard * near && self.depth_moves => f64::INFINITY,
+            true => self.depth - error / guard,
+            false if error <= guard => f64::INFINITY,
+            false => 0.0,
+        };
+        let slack = hidden.max(small) - ROUNDING * self.distance;
+        (slack, self.is_out() && hidden >= small)
     }
 }

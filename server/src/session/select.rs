@@ -17,19 +17,17 @@ use std::hash::BuildHasherDefault;
 
 use lodestream_protocol::view::View;
 
+use super::front::Closure;
 use super::score::Scorer;
-use crate::pack::record::{Bounds, Cone, CutRef, Magnitude, NO_OP};
+use crate::pack::record::{Bounds, Cone, Magnitude, NO_OP};
 use crate::pack::{PAGE_OPS, PackError, PackedModel, PageId};
 
 /// Most pages that one selection names: what a walk finds missing beyond them, the next one names. 16 MB of pages of the usual
 /// size, and 8 KB of names.
 pub(crate) const MAX_MISSING: usize = 1024;
 
-/// Ratio of priorities within a band.
-const BAND_RATIO: f32 = 2.0;
-
 /// Pages of spawns that are asked for at once when the next one is missing.
-const SPAWN_PAGES_AHEAD: u32 = 16;
+pub(super) const SPAWN_PAGES_AHEAD: u32 = 16;
 
 /// Hash map keyed by op id.
 pub(crate) type OpMap<V> = std::collections::HashMap<u32, V, BuildHasherDefault<OpHasher>>;
@@ -60,8 +58,6 @@ impl std::hash::Hasher for OpHasher {
 pub(crate) struct Selection {
     /// P*, parents before children, in order of priority.
     pub(crate) ops: Vec<u32>,
-    /// Where `ops` has come down by another [`BAND_RATIO`] of priority, ascending.
-    pub(crate) band_ends: Vec<usize>,
     /// The same as a set.
     pub(crate) set: OpSet,
     /// Triangles of the mesh built from it.
@@ -90,8 +86,7 @@ pub(crate) fn triangles_of(model: &PackedModel, op: u32) -> Result<u32, PackErro
     if op < model.spawn_count() {
         return model.spawn_triangles(op);
     }
-    let fields = model.split(op)?;
-    Ok(u32::from(fields.left != CutRef::None) + u32::from(fields.right != CutRef::None))
+    model.split_triangles(op)
 }
 
 /// P* for a view and its triangle limit: parents before children, otherwise in order of priority. What a settled session holds.
@@ -137,7 +132,6 @@ pub(crate) fn select(
     let mut closure = Closure::default();
     // How much was selected when the first page was missing, and its triangles: all that is certain to come first.
     let mut certain = None;
-    let mut band_top = f32::INFINITY;
     loop {
         walk.offer_spawns(limit)?;
         if certain.is_none() && !walk.pages.missing.is_empty() {
@@ -145,10 +139,6 @@ pub(crate) fn select(
         }
         let Some(key) = walk.heap.pop() else { break };
         let (priority, op) = unpack(key);
-        if priority * BAND_RATIO < band_top {
-            band_top = priority;
-            walk.out.band_ends.push(walk.out.ops.len());
-        }
         if !walk.out.set.contains(&op) {
             match walk.take(op, limit, &mut closure)? {
                 Fit::All => {}
@@ -253,11 +243,11 @@ enum Fit {
 
 /// Orders by priority descending, then id ascending, as a max-heap key. Priorities are not negative, so their bits order
 /// like the numbers.
-fn pack(priority: f32, op: u32) -> u64 {
+pub(super) fn pack(priority: f32, op: u32) -> u64 {
     u64::from(priority.to_bits()) << 32 | u64::from(!op)
 }
 
-fn unpack(key: u64) -> (f32, u32) {
+pub(super) fn unpack(key: u64) -> (f32, u32) {
     (f32::from_bits((key >> 32) as u32), !(key as u32))
 }
 
@@ -350,7 +340,8 @@ impl Walk<'_> {
         if op < self.model.spawn_count() && self.model.spawn_triangles(op)? > room {
             return Ok(Fit::SkippedSpawn);
         }
-        if !closure.gather(self.model, &mut self.pages, &self.out.set, op)? {
+        let Self { pages, out, .. } = self;
+        if !closure.gather(self.model, op, |op| out.set.contains(&op), |op| pages.has_op(op))? {
             return Ok(Fit::NotYet);
         }
         for &op in &closure.ops {
@@ -365,50 +356,5 @@ impl Walk<'_> {
             self.out.ops.push(op);
         }
         Ok(Fit::All)
-    }
-}
-
-/// An op and those of its ancestors that are missing, parents first. Work space is kept between calls.
-#[derive(Default)]
-struct Closure {
-    ops: Vec<u32>,
-    stack: Vec<(u32, [u32; 3], usize, usize)>,
-    seen: OpSet,
-}
-
-impl Closure {
-    /// Depth first over parents in stored order. Each op is entered once, so damaged parents cannot make it loop. False if a
-    /// page is missing; those of other parents are then asked for too.
-    fn gather(
-        &mut self,
-        model: &PackedModel,
-        pages: &mut Pages<'_>,
-        present: &OpSet,
-        op: u32,
-    ) -> Result<bool, PackError> {
-        self.ops.clear();
-        self.seen.clear();
-        let mut is_whole = self.enter(model, pages, op)?;
-        while let Some((op, parents, count, next)) = self.stack.last_mut() {
-            if *next == *count {
-                self.ops.push(*op);
-                self.stack.pop();
-                continue;
-            }
-            let parent = parents[*next];
-            *next += 1;
-            if !present.contains(&parent) && !self.seen.contains(&parent) {
-                is_whole &= self.enter(model, pages, parent)?;
-            }
-        }
-        Ok(is_whole)
-    }
-
-    fn enter(&mut self, model: &PackedModel, pages: &mut Pages<'_>, op: u32) -> Result<bool, PackError> {
-        self.seen.insert(op);
-        let has = pages.has_op(op);
-        let (parents, count) = if op < model.spawn_count() || !has { ([NO_OP; 3], 0) } else { model.parents(op)? };
-        self.stack.push((op, parents, count, 0));
-        Ok(has)
     }
 }

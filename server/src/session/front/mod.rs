@@ -1,0 +1,650 @@
+//! The set of ops that a view asks for, kept from view to view: P* by what changed instead of anew.
+//!
+//! The result is that of [`select`](super::select::select), which walks the whole view and is the twin in the tests. What is kept:
+//! - the *wanted* ops, of priority over a threshold. Priorities fall along the vertex forest, so only wanted ops without wanted
+//!   children may cease to be, and only their unwanted children may begin to;
+//! - their closure under parents, by counting for each op the members that have it as a parent;
+//! - for each wanted op, how far the camera may move and how far the threshold before one of these answers may change
+//!   (ALGORITHMS 3.2). An update looks at the rows that are due, found by a scan of 12 bytes a row.
+//!
+//! The threshold is the tolerance as long as the closure fits the triangle limit. Where it does not, the threshold stays where the closure
+//! takes 96 to 100 % of the limit, and the rest is filled best-first, in the order that `select` has, anew for each view.
+//!
+//! Cost of an update: about a nanosecond a row, and some 100 ns for each row that is due and each op that comes or goes.
+
+mod fill;
+mod motion;
+mod rows;
+
+use glam::DQuat;
+use lodestream_protocol::view::View;
+
+pub(super) use self::fill::Closure;
+use self::motion::Motion;
+use self::rows::{Due, FILLS, Rows, TOUCHED, WANTED, WAS_MEMBER};
+use super::score::{Probe, Scorer};
+use super::select::{PageAccess, triangles_of};
+use crate::pack::record::NO_OP;
+use crate::pack::{PAGE_OPS, PackError, PackedModel, PageId};
+
+/// Share of the limit that the wanted ops and their parents take at least, where the limit binds.
+const LOW_WATER: f64 = 0.96;
+/// Where an adjusted threshold aims.
+const AIM: f64 = 0.985;
+/// How the size of a closure falls with the threshold: by about the power -1.6.
+const THRESHOLD_POWER: f64 = 0.6;
+/// Where a threshold of zero is raised to.
+const SMALLEST_THRESHOLD: f32 = 1.0 / 1024.0;
+/// A closure that outgrows the limit by this share is given up and the threshold raised.
+const OVERSHOOT: u32 = 4;
+
+/// What an update changed, and what the set is now.
+#[derive(Debug, Default)]
+pub(crate) struct Update {
+    /// Ops that joined, in no order.
+    pub(crate) joined: Vec<u32>,
+    /// Ops that left, in no order.
+    pub(crate) left: Vec<u32>,
+    /// See [`Selection`](super::select::Selection).
+    pub(crate) lambda: f32,
+    pub(crate) error: f32,
+    pub(crate) is_limited: bool,
+    /// Pages without which the set is a part of P*, those of the most important ops first.
+    pub(crate) missing: Vec<PageId>,
+    /// Rows that were looked at, for measurements.
+    pub(crate) tested: u32,
+}
+
+/// See the module.
+#[derive(Debug, Default)]
+pub(crate) struct Front {
+    rows: Rows,
+    /// Spawns that were looked at so far: those of the first pages.
+    spawns: Vec<SpawnRow>,
+    motion: Motion,
+    /// What a view is but for its eye, orientation and limit.
+    kind: Option<View>,
+    /// Ops of higher priority are wanted.
+    threshold: f32,
+    /// Triangles of base and closure.
+    triangles: u32,
+    fills: Vec<u32>,
+    touched: Vec<u32>,
+    // Work space.
+    work: Vec<u32>,
+    stack: Vec<u32>,
+    closure: Closure,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct SpawnRow {
+    due: Due,
+    octave: u8,
+}
+
+/// What an update works with.
+struct Context<'a> {
+    model: &'a PackedModel,
+    scorer: &'a Scorer,
+    pages: Pages<'a>,
+    limit: u32,
+    tested: u32,
+}
+
+/// The pages that may be looked into, and those that are missing with the priority of what they are needed for.
+struct Pages<'a> {
+    model: &'a PackedModel,
+    access: PageAccess,
+    missing: Vec<(u32, PageId)>,
+}
+
+impl Pages<'_> {
+    #[inline]
+    fn has(&mut self, page: PageId, priority: f32) -> bool {
+        if self.access == PageAccess::Blocking || self.model.is_ready(page) {
+            return true;
+        }
+        self.missing.push((priority.to_bits(), page));
+        false
+    }
+
+    /// Whether the page of an op can be used, and of a spawn that of its patch too.
+    #[inline]
+    fn has_op(&mut self, op: u32, priority: f32) -> bool {
+        self.has(PackedModel::page_of(op), priority)
+            && (op >= self.model.spawn_count() || self.has(PackedModel::patch_page_of(op), priority))
+    }
+}
+
+/// The least of several due times.
+struct Earliest {
+    slack: f64,
+    octave: u8,
+    under: f32,
+    over: f32,
+}
+
+impl Earliest {
+    const NEVER: Self = Self { slack: f64::INFINITY, octave: 0, under: f32::NEG_INFINITY, over: f32::INFINITY };
+
+    fn add(&mut self, distance: f64, slack: f64) {
+        let octave = Motion::octave(distance);
+        self.octave = self.octave.max(octave);
+        self.slack = self.slack.min(slack.min(f64::from(octave).exp2()));
+    }
+
+    /// The op stays out, being of that priority.
+    fn stays_out(&mut self, probe: &Probe, priority: f32, threshold: f32, scorer: &Scorer) {
+        // Nearer to the threshold, which also bounds the priority: see `Front::error`.
+        let share = f64::from(priority / threshold).max(1e-6).sqrt().sqrt();
+        let guard = if threshold > 0.0 { f64::from(threshold) * share } else { 0.0 };
+        let (slack, is_hidden) = probe.stays_under(guard, scorer.silhouette_factor(), scorer.near());
+        self.add(probe.distance, slack);
+        if !is_hidden {
+            self.under = self.under.max((guard as f32).next_up());
+        }
+    }
+
+    /// The op stays wanted.
+    fn stays_in(&mut self, probe: &Probe, priority: f32, threshold: f32, is_at_tolerance: bool) {
+        let guard = if is_at_tolerance { threshold } else { (threshold * priority).sqrt().clamp(threshold, priority) };
+        self.add(probe.distance, probe.stays_over(f64::from(guard)));
+        self.over = self.over.min(guard);
+    }
+
+    fn due(&self, motion: &Motion) -> Due {
+        let motion = if self.slack == f64::INFINITY { f32::INFINITY } else { motion.due(self.octave, self.slack) };
+        Due { motion, under: self.under, over: self.over }
+    }
+}
+
+impl Front {
+    /// Whether [`update`](Self::update) can follow such a view: complete ones do not depend on the camera, and [`select`](super::select::select) does them.
+    pub(crate) fn follows(view: &View) -> bool {
+        !view.complete
+    }
+
+    /// Members, in no order.
+    pub(crate) fn members(&self) -> impl Iterator<Item = u32> + '_ {
+        self.rows.ops.iter().zip(&self.rows.states).filter(|(_, state)| state.is_member()).map(|(&op, _)| op)
+    }
+
+    pub(crate) fn has(&self, op: u32) -> bool {
+        self.rows.state(op).is_member()
+    }
+
+    pub(crate) fn heap_bytes(&self) -> usize {
+        let lists = self.fills.capacity() + self.touched.capacity() + self.work.capacity() + self.stack.capacity();
+        self.rows.heap_bytes() + self.spawns.capacity() * size_of::<SpawnRow>() + lists * 4
+    }
+
+    /// Makes the set that of `view`, for which `scorer` was made.
+    ///
+    /// # Errors
+    /// [`PackError`] if a page is damaged; the front is to be dropped then.
+    pub(crate) fn update(
+        &mut self,
+        model: &PackedModel,
+        scorer: &Scorer,
+        view: &View,
+        access: PageAccess,
+    ) -> Result<Update, PackError> {
+        let pages = Pages { model, access, missing: Vec::new() };
+        let mut context = Context { model, scorer, pages, limit: view.triangle_limit, tested: 0 };
+        self.begin(&mut context, view);
+        let filled = self.adjust(&mut context)?;
+        let mut out = Update {
+            lambda: scorer.threshold(),
+            missing: ordered(context.pages.missing),
+            tested: context.tested,
+            ..Update::default()
+        };
+        match filled {
+            Some(filled) if filled.is_limited => {
+                (out.lambda, out.error, out.is_limited) = (filled.lambda, filled.error, true)
+            }
+            _ => out.error = self.error(model, scorer, access)?,
+        }
+        for op in self.touched.drain(..) {
+            let row = self.rows.find(op).expect("rows are removed below");
+            let state = &mut self.rows.states[row];
+            let was_member = state.flags & WAS_MEMBER != 0;
+            state.flags &= !(TOUCHED | WAS_MEMBER);
+            let is_member = state.is_member();
+            if is_member && !was_member {
+                out.joined.push(op);
+            }
+            if !is_member {
+                self.rows.remove(op);
+                if was_member {
+                    out.left.push(op);
+                }
+            }
+        }
+        Ok(out)
+    }
+
+    /// Moves the camera, and marks what that does not cover as due.
+    fn begin(&mut self, context: &mut Context<'_>, view: &View) {
+        let kind = View {
+            eye: [0.0; 3],
+            orientation: DQuat::IDENTITY.as_quat().to_array(),
+            triangle_limit: 0,
+            ..view.clone()
+        };
+        let tolerance = context.scorer.threshold();
+        if self.kind.as_ref() != Some(&kind) {
+            match &self.kind {
+                Some(before) if self.threshold > before.tolerance_px => self.threshold = self.threshold.max(tolerance),
+                Some(_) => self.threshold = tolerance,
+                None => {
+                    self.triangles = context.model.base().faces.len() as u32;
+                    // From above, so that a first view under a limit is not overshot.
+                    self.threshold =
+                        if u64::from(context.limit) < context.model.info().triangles { f32::MAX } else { tolerance };
+                }
+            }
+            self.kind = Some(kind);
+            self.rows.dues.iter_mut().zip(&self.rows.states).for_each(|(due, state)| {
+                if state.flags & WANTED != 0 {
+                    *due = Due::NOW;
+                }
+            });
+            self.spawns.iter_mut().for_each(|spawn| spawn.due = Due::NOW);
+        }
+        if let Some(sums) = self.motion.go_on(context.scorer.eye(), view.rotation()) {
+            let dues = self.rows.dues.iter_mut().zip(&self.rows.states).map(|(due, state)| (due, state.octave));
+            let spawns = self.spawns.iter_mut().map(|spawn| (&mut spawn.due, spawn.octave));
+            for (due, octave) in dues.chain(spawns) {
+                due.motion = (due.motion - sums[usize::from(octave)]).next_down();
+            }
+        }
+        self.drop_fills();
+    }
+
+    /// Brings the wanted ops up to date, finds the threshold at which their closure fits, and fills the rest.
+    fn adjust(&mut self, context: &mut Context<'_>) -> Result<Option<fill::Filled>, PackError> {
+        let tolerance = context.scorer.threshold();
+        let limit = context.limit;
+        let mut steps = 0;
+        // The highest threshold that was too low, in this update.
+        let mut too_low = None;
+        let mut has_fitted = false;
+        loop {
+            steps += 1;
+            self.refresh(context)?;
+            let share = f64::from(self.triangles) / f64::from(limit.max(1));
+            let factor = (share / AIM).powf(THRESHOLD_POWER) as f32;
+            if self.triangles > limit {
+                too_low = Some(self.threshold);
+                let is_far = self.triangles > limit.saturating_add(limit / OVERSHOOT) || steps > 40;
+                let factor = if is_far { 2.0 } else { factor.clamp(1.005, 2.0) };
+                self.threshold = (self.threshold * factor).clamp(SMALLEST_THRESHOLD, f32::MAX);
+                continue;
+            }
+            if self.threshold <= tolerance {
+                return Ok(None);
+            }
+            if share < LOW_WATER && steps < 64 && !has_fitted {
+                let highest = if self.threshold == f32::MAX { self.highest_root(context)? } else { f32::MAX };
+                let next = (self.threshold * factor.max(0.5)).min(highest);
+                let next = next.max(too_low.map_or(tolerance, |low| (low * self.threshold).sqrt()));
+                if next < 0.998 * self.threshold {
+                    self.threshold = next;
+                    continue;
+                }
+            }
+            let filled = self.fill(context)?;
+            if filled.is_limited || has_fitted {
+                return Ok(Some(filled));
+            }
+            // Everything fits after all.
+            has_fitted = true;
+            self.drop_fills();
+            self.threshold = tolerance;
+        }
+    }
+
+    fn drop_fills(&mut self) {
+        for i in 0..self.fills.len() {
+            let row = self.touch(self.fills[i]);
+            self.rows.states[row].flags &= !FILLS;
+        }
+        self.fills.clear();
+    }
+
+    /// Largest priority of a root.
+    fn highest_root(&mut self, context: &mut Context<'_>) -> Result<f32, PackError> {
+        let mut highest = context.scorer.most_of_spawn(self.largest_unseen_spawn(context.model)?);
+        for &op in context.model.base_first_splits() {
+            if op != NO_OP && context.pages.has(PackedModel::page_of(op), f32::MAX) {
+                highest = highest.max(context.scorer.priority(&context.model.bounds(op)?));
+            }
+        }
+        Ok(highest)
+    }
+
+    /// Looks at all that is due and follows what that leads to.
+    fn refresh(&mut self, context: &mut Context<'_>) -> Result<(), PackError> {
+        let (sums, threshold) = (*self.motion.sums(), self.threshold);
+        let is_due = |due: &Due, octave: u8| {
+            due.motion <= sums[usize::from(octave)] || due.under > threshold || due.over < threshold
+        };
+        self.work.clear();
+        for ((due, state), &op) in self.rows.dues.iter().zip(&self.rows.states).zip(&self.rows.ops) {
+            if is_due(due, state.octave) {
+                self.work.push(op);
+            }
+        }
+        // Ops of a page together.
+        self.work.sort_unstable_by_key(|&op| std::cmp::Reverse(op));
+        for &op in context.model.base_first_splits() {
+            if op == NO_OP || self.rows.state(op).flags & WANTED != 0 {
+                continue;
+            }
+            if context.pages.has(PackedModel::page_of(op), f32::MAX) {
+                let priority = context.scorer.priority(&context.model.bounds(op)?);
+                if priority > threshold && self.want(context, op, priority)? {
+                    self.work.push(op);
+                }
+            }
+        }
+        self.see_spawns(context, threshold)?;
+        for op in 0..self.spawns.len() as u32 {
+            let SpawnRow { due, octave } = self.spawns[op as usize];
+            if is_due(&due, octave) && self.look_at_spawn(context, op)? {
+                self.work.push(op);
+            }
+        }
+        while let Some(op) = self.work.pop() {
+            self.look_at(context, op)?;
+            if self.triangles > context.limit.saturating_add(context.limit / OVERSHOOT) {
+                // The threshold is going to be raised: what is left is looked at then.
+                for op in self.work.drain(..) {
+                    if let Some(row) = self.rows.find(op) {
+                        self.rows.dues[row] = Due::NOW;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Largest error of a spawn that was not looked at, in lattice steps.
+    fn largest_unseen_spawn(&self, model: &PackedModel) -> Result<f32, PackError> {
+        match (self.spawns.len() as u32).checked_sub(1) {
+            _ if self.spawns.len() as u32 == model.spawn_count() => Ok(0.0),
+            None => Ok(f32::INFINITY),
+            Some(last) => Ok(model.bounds(last)?.error.decode()),
+        }
+    }
+
+    /// Takes up the spawns, page by page, as long as the next may be of higher priority than `least`.
+    fn see_spawns(&mut self, context: &mut Context<'_>, least: f32) -> Result<(), PackError> {
+        let count = context.model.spawn_count();
+        while (self.spawns.len() as u32) < count {
+            let most = context.scorer.most_of_spawn(self.largest_unseen_spawn(context.model)?);
+            if most <= least {
+                break;
+            }
+            let page = self.spawns.len() as u32 / PAGE_OPS;
+            if !context.pages.has(PageId::Ops(page), most) {
+                let pages = count.div_ceil(PAGE_OPS);
+                (page + 1..pages.min(page + super::select::SPAWN_PAGES_AHEAD))
+                    .for_each(|page| _ = context.pages.has(PageId::Ops(page), most));
+                break;
+            }
+            let end = count.min((page + 1) * PAGE_OPS) as usize;
+            self.spawns.resize(end, SpawnRow { due: Due::NOW, octave: 0 });
+        }
+        Ok(())
+    }
+
+    /// Whether a spawn becomes wanted now.
+    fn look_at_spawn(&mut self, context: &mut Context<'_>, op: u32) -> Result<bool, PackError> {
+        context.tested += 1;
+        if self.rows.state(op).flags & WANTED != 0 {
+            self.spawns[op as usize].due = Due::NEVER;
+            return Ok(false);
+        }
+        let probe = context.scorer.probe(&context.model.bounds(op)?);
+        let priority = probe.priority();
+        if priority > self.threshold {
+            let is_wanted = self.want(context, op, priority)?;
+            self.spawns[op as usize].due = if is_wanted { Due::NEVER } else { Due::NOW };
+            return Ok(is_wanted);
+        }
+        let mut earliest = Earliest::NEVER;
+        earliest.stays_out(&probe, priority, self.threshold, context.scorer);
+        self.spawns[op as usize] = SpawnRow { due: earliest.due(&self.motion), octave: earliest.octave };
+        Ok(false)
+    }
+
+    /// Looks at a wanted op: which of its children are wanted, and if none is, whether it still is itself.
+    fn look_at(&mut self, context: &mut Context<'_>, op: u32) -> Result<(), PackError> {
+        let Some(row) = self.rows.find(op) else { return Ok(()) };
+        if self.rows.states[row].flags & WANTED == 0 {
+            self.rows.dues[row] = Due::NEVER;
+            return Ok(());
+        }
+        context.tested += 1;
+        let mut earliest = Earliest::NEVER;
+        let (mut has_wanted_child, mut is_incomplete) = (false, false);
+        // What a child on a missing page matters is at most what this op does.
+        let mut own = None;
+        for child in Children::of(context.model, op)? {
+            if child == NO_OP {
+                continue;
+            }
+            if self.rows.state(child).flags & WANTED != 0 {
+                has_wanted_child = true;
+                continue;
+            }
+            if !context.model.is_ready(PackedModel::page_of(child)) && context.pages.access == PageAccess::ReadAhead {
+                let probe = context.scorer.probe(&context.model.bounds(op)?);
+                own = Some(probe);
+                context.pages.has(PackedModel::page_of(child), probe.priority());
+                is_incomplete = true;
+                continue;
+            }
+            let probe = context.scorer.probe(&context.model.bounds(child)?);
+            let priority = probe.priority();
+            if priority <= self.threshold {
+                earliest.stays_out(&probe, priority, self.threshold, context.scorer);
+            } else if self.want(context, child, priority)? {
+                has_wanted_child = true;
+                self.work.push(child);
+            } else {
+                is_incomplete = true;
+            }
+        }
+        if !has_wanted_child {
+            let probe = match own {
+                Some(probe) => probe,
+                None => context.scorer.probe(&context.model.bounds(op)?),
+            };
+            let priority = probe.priority();
+            if priority <= self.threshold {
+                self.leave(context, op)?;
+                let parent = if op < context.model.spawn_count() { NO_OP } else { context.model.tree_parent_of(op)? };
+                if parent != NO_OP {
+                    self.work.push(parent);
+                }
+                return Ok(());
+            }
+            let is_at_tolerance = self.threshold <= context.scorer.threshold();
+            earliest.stays_in(&probe, priority, self.threshold, is_at_tolerance);
+        }
+        let row = self.rows.find(op).expect("rows of members stay");
+        self.rows.dues[row] = if is_incomplete { Due::NOW } else { earliest.due(&self.motion) };
+        self.rows.states[row].octave = earliest.octave;
+        Ok(())
+    }
+
+    /// Takes an op in with its closure, unless a page of that is missing.
+    fn want(&mut self, context: &mut Context<'_>, op: u32, priority: f32) -> Result<bool, PackError> {
+        if context.pages.access == PageAccess::ReadAhead {
+            let Self { closure, rows, .. } = self;
+            let is_present = |op: u32| rows.state(op).is_closed_in();
+            if !closure.gather(context.model, op, is_present, |op| context.pages.has_op(op, priority))? {
+                return Ok(false);
+            }
+        }
+        let row = self.touch(op);
+        let state = &mut self.rows.states[row];
+        let was_in = state.is_closed_in();
+        state.flags |= WANTED;
+        self.rows.dues[row] = Due::NOW;
+        if was_in {
+            return Ok(true);
+        }
+        self.stack.push(op);
+        while let Some(op) = self.stack.pop() {
+            self.triangles += triangles_of(context.model, op)?;
+            for parent in parents(context.model, op)? {
+                let row = self.touch(parent);
+                let state = &mut self.rows.states[row];
+                let was_in = state.is_closed_in();
+                state.references = state.references.checked_add(1).ok_or_else(too_many)?;
+                if !was_in {
+                    self.stack.push(parent);
+                }
+            }
+        }
+        Ok(true)
+    }
+
+    /// The op is not wanted any more.
+    fn leave(&mut self, context: &mut Context<'_>, op: u32) -> Result<(), PackError> {
+        if op < context.model.spawn_count() {
+            self.spawns[op as usize].due = Due::NOW;
+        }
+        let row = self.touch(op);
+        let state = &mut self.rows.states[row];
+        state.flags &= !WANTED;
+        let is_in = state.is_closed_in();
+        self.rows.dues[row] = Due::NEVER;
+        if is_in {
+            return Ok(());
+        }
+        self.stack.push(op);
+        while let Some(op) = self.stack.pop() {
+            self.triangles -= triangles_of(context.model, op)?;
+            for parent in parents(context.model, op)? {
+                let row = self.touch(parent);
+                let state = &mut self.rows.states[row];
+                state.references -= 1;
+                if !state.is_closed_in() {
+                    self.stack.push(parent);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The row of an op, noted as one that may change.
+    #[inline]
+    fn touch(&mut self, op: u32) -> usize {
+        let row = self.rows.ensure(op);
+        let state = &mut self.rows.states[row];
+        if state.flags & TOUCHED == 0 {
+            state.flags |= if state.is_member() { TOUCHED | WAS_MEMBER } else { TOUCHED };
+            self.touched.push(op);
+        }
+        row
+    }
+
+    /// Largest priority of an op that is not wanted, where no limit binds.
+    fn error(&self, model: &PackedModel, scorer: &Scorer, access: PageAccess) -> Result<f32, PackError> {
+        let is_ready = |op: u32| access == PageAccess::Blocking || model.is_ready(PackedModel::page_of(op));
+        let is_out = |op: u32| op != NO_OP && is_ready(op) && self.rows.state(op).flags & WANTED == 0;
+        let mut error = 0f32;
+        for &op in model.base_first_splits().iter().filter(|&&op| is_out(op)) {
+            error = error.max(scorer.priority(&model.bounds(op)?));
+        }
+        // Spawns are judged page by page as far as they may matter, and what comes then is bounded.
+        let mut largest = f32::INFINITY;
+        for page in 0..model.spawn_count().div_ceil(PAGE_OPS) {
+            let most = scorer.most_of_spawn(largest);
+            if !scorer.wants(most) {
+                error = error.max(most);
+                break;
+            }
+            let spawns = page * PAGE_OPS..model.spawn_count().min((page + 1) * PAGE_OPS);
+            if spawns.end as usize > self.spawns.len() {
+                break;
+            }
+            largest = model.bounds(spawns.end - 1)?.error.decode();
+            for op in spawns {
+                if self.spawns[op as usize].due.under > error && is_out(op) {
+                    error = error.max(scorer.priority(&model.bounds(op)?));
+                }
+            }
+        }
+        // A row's guard bounds what its children matter, so few have to be looked at once the largest is nearly known.
+        for share in [0.9, 0.0] {
+            let least = share * scorer.threshold();
+            for row in 0..self.rows.ops.len() {
+                if self.rows.dues[row].under > error.max(least) && self.rows.states[row].flags & WANTED != 0 {
+                    for child in Children::of(model, self.rows.ops[row])?.filter(|&op| is_out(op)) {
+                        error = error.max(scorer.priority(&model.bounds(child)?));
+                    }
+                }
+            }
+            if error > least {
+                break;
+            }
+        }
+        Ok(error)
+    }
+}
+
+fn too_many() -> PackError {
+    PackError::Damaged { section: "ops", reason: "an op is a parent of more than 65,535 others".into() }
+}
+
+/// Parents of an op.
+fn parents(model: &PackedModel, op: u32) -> Result<impl Iterator<Item = u32>, PackError> {
+    let (parents, count) = if op < model.spawn_count() { ([NO_OP; 3], 0) } else { model.parents(op)? };
+    Ok(parents.into_iter().take(count))
+}
+
+/// Children of an op in the vertex forest, [`NO_OP`] among them.
+enum Children {
+    Split(std::array::IntoIter<u32, 2>),
+    Spawn(std::vec::IntoIter<u32>),
+}
+
+impl Children {
+    #[inline]
+    fn of(model: &PackedModel, op: u32) -> Result<Self, PackError> {
+        Ok(if op < model.spawn_count() {
+            Self::Spawn(model.spawn_first_splits(op)?.into_iter())
+        } else {
+            Self::Split(model.children(op)?.into_iter())
+        })
+    }
+}
+
+impl Iterator for Children {
+    type Item = u32;
+
+    #[inline]
+    fn next(&mut self) -> Option<u32> {
+        match self {
+            Self::Split(ops) => ops.next(),
+            Self::Spawn(ops) => ops.next(),
+        }
+    }
+}
+
+/// Each page once, the most important first.
+fn ordered(mut missing: Vec<(u32, PageId)>) -> Vec<PageId> {
+    missing.sort_unstable_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
+    let mut seen = std::collections::HashSet::new();
+    let pages = missing.into_iter().map(|(_, page)| page).filter(|&page| seen.insert(page));
+    pages.take(super::select::MAX_MISSING).collect()
+}
+
+#[cfg(test)]
+mod tests;
