@@ -155,3 +155,82 @@ fn processor_time() -> Duration {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
     Duration::new(u64::try_from(time.tv_sec).unwrap_or(0), u32::try_from(time.tv_nsec).unwrap_or(0))
 }
+
+/// Row 14: what one view of a moving camera costs the server, from the view to the last frame that it leads to, over a link that
+/// takes everything at once. The client holds 50,000 vertices (100,000 triangles), or all that the model has.
+pub(crate) fn view_updates(subject: &Subject, report: &Report) -> anyhow::Result<()> {
+    const LIMIT: u32 = 100_000;
+    const STEPS: u32 = 200;
+    let (lo, hi) = subject.test.clean.bounding_box().expect("the mesh has vertices");
+    let (lo, hi) = (DVec3::from_array(lo), DVec3::from_array(hi));
+    let (center, radius) = ((lo + hi) / 2.0, (hi - lo).length() / 2.0);
+    let orbit = |degrees: f64, distance: f64| {
+        let angle = degrees.to_radians();
+        (center + DVec3::new(angle.sin(), 0.2, angle.cos()) * distance * radius, center)
+    };
+    type Path<'a> = (&'a str, f32, &'a dyn Fn(f64) -> (DVec3, DVec3));
+    let paths: [Path<'_>; 5] = [
+        ("orbit 1 deg, limit binds", 0.05, &|i| orbit(i, 2.0)),
+        ("orbit 1 deg, 1 px", 1.0, &|i| orbit(i, 2.0)),
+        ("zoom 1 %", 0.3, &|i| orbit(30.0, 3.0 * 0.99f64.powf(i))),
+        ("fly past", 0.3, &|i| {
+            let eye = center + DVec3::new(-1.5 + 0.015 * i, 0.3, 0.9) * radius;
+            (eye, eye + DVec3::new(0.4, -0.1, -1.0))
+        }),
+        ("look around 1 deg, close", 0.3, &|i| {
+            let (eye, target) = orbit(40.0, 0.95);
+            let turn = glam::DQuat::from_rotation_y((0.3 * (i * 0.06).sin()).max(-1.0));
+            (eye, eye + turn * (target - eye))
+        }),
+    ];
+    for (name, tolerance, path) in paths {
+        let mut server = Session::new(subject.test.model.clone(), SessionConfig::default());
+        let mut client = new_client();
+        let mut now = Timestamp::default();
+        let (mut times, mut ops, mut vertices) = (Vec::new(), Vec::new(), Vec::new());
+        for step in 0..STEPS {
+            let (eye, target) = path(f64::from(step));
+            let view = View {
+                near: 1e-3 * radius,
+                tolerance_px: tolerance,
+                triangle_limit: LIMIT,
+                aspect: 16.0 / 9.0,
+                ..View::perspective(eye, target, 45f32.to_radians())
+            };
+            now = now + Duration::from_millis(100);
+            client.set_view(now, view)?;
+            let before = server.stats();
+            let mut time = Duration::ZERO;
+            loop {
+                let requests: Vec<_> = std::iter::from_fn(|| client.poll_transmit(now)).collect();
+                let start = processor_time();
+                for frame in &requests {
+                    server.handle_frame(now, frame)?;
+                }
+                let frame = server.poll_transmit(now)?;
+                time += processor_time() - start;
+                match frame {
+                    Some(frame) => client.handle_frame(now, &frame)?,
+                    None if requests.is_empty() => break,
+                    None => {}
+                }
+            }
+            let after = server.stats();
+            // The first view is a load, not an update.
+            if step > 0 {
+                times.push(time.as_secs_f64() * 1e3);
+                ops.push((after.splits + after.collapses - before.splits - before.collapses) as f64);
+                vertices.push(client.replica().map_or(0, |replica| replica.vertex_count()) as f64);
+            }
+        }
+        let (client_digest, server_digest) =
+            (client.replica().map(|mesh| mesh.digest()), server.mirror().map(|mesh| mesh.digest()));
+        ensure!(client_digest == server_digest && client.stats().resets == 0, "the two ends disagreed");
+        times.sort_by(f64::total_cmp);
+        let memory = server.stats().heap_bytes as f64 / vertices.last().copied().unwrap_or(1.0);
+        let more = json!({"p50": times[times.len() / 2], "vertices": median(vertices), "ops": median(ops), "B/vertex": memory});
+        let case = format!("{}, {name}", subject.name);
+        report.line("14 server time per view update, p99", &case, times[times.len() * 99 / 100], "ms", more);
+    }
+    Ok(())
+}
