@@ -16,7 +16,7 @@ use super::trained::{TRAINED, Trained};
 use crate::cache::SplitCache;
 use crate::ids::VertexSlot;
 use crate::limits::MAX_OPS_PER_BATCH;
-use crate::mesh::{ApplyError, Cut, Fan, NewVertex, Patch, PatchError, Replica, SlotSet};
+use crate::mesh::{ApplyError, Cut, Fan, NewVertex, Patch, PatchError, Replica, SlotSet, TOUCHED_AT_ONCE};
 
 /// Contexts of gaps by how the gaps before were against what is expected.
 const GAP_CLASSES: usize = 4;
@@ -779,9 +779,12 @@ fn decode<S: Source>(source: S, byte_count: usize, state: &mut OpState, limit: u
         if chosen.is_empty() {
             break;
         }
-        for &s in &chosen {
-            rounds.split(s, limit, |_, _| Some((Cut::Left { left: 0 }, NewVertex::default())))?;
-            check(&rounds)?;
+        for some in chosen.chunks(TOUCHED_AT_ONCE) {
+            rounds.state.replica.touch_fans(some);
+            for &s in some {
+                rounds.split(s, limit, |_, _| Some((Cut::Left { left: 0 }, NewVertex::default())))?;
+                check(&rounds)?;
+            }
         }
         rounds.end_split_round();
         if rounds.candidates.is_empty() {
