@@ -14,4 +14,4 @@ pub use bits::SlotSet;
 pub use dirty::DirtySlots;
 pub use fan::{Cut, Fan};
 pub use patch::{Patch, PatchError, twins_of};
-pub use replica::{ApplyError, NewVertex, Replica, SplitUndo};
+pub use replica::{ApplyError, NewVertex, Replica, SplitUndo, TOUCHED_AT_ONCE};

@@ -20,6 +20,13 @@ const SPAWNED: u32 = 1 << 31;
 /// A face slot that holds no face. Degenerate, so it may be drawn as it is.
 const NO_FACE: [u32; 3] = [0; 3];
 
+/// How many fans [`Replica::touch_fans`] walks around at once: what a processor looks ahead.
+pub const TOUCHED_AT_ONCE: usize = 8;
+/// How many faces of each.
+const TOUCHED_FACES: usize = 6;
+/// Slots from which on a replica is too large to be near anyway.
+const TOUCHED_FROM: usize = 1 << 13;
+
 /// Geometry of a split: the vertex it inserts and what it does to `s`.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub struct NewVertex {
@@ -338,6 +345,35 @@ impl Replica {
             fan.ring.push(self.corner_at(previous(last)));
         }
         Ok(())
+    }
+
+    /// Reads around a few vertices, [`TOUCHED_AT_ONCE`] of which are served best, for no other end than to have their fans near
+    /// the processor: walking one fan means to wait for one read after the other, walking several at once the reads overlap.
+    pub fn touch_fans(&self, slots: &[u32]) {
+        if self.position.len() < TOUCHED_FROM {
+            return;
+        }
+        let (corner, twin) = (&self.corner[..], &self.twin[..self.corner.len()]);
+        let mut seen = 0;
+        for slots in slots.chunks_exact(TOUCHED_AT_ONCE) {
+            // Of each walk, the face and the corner of it at which the vertex is.
+            let mut walks: [(usize, usize); TOUCHED_AT_ONCE] = std::array::from_fn(|i| {
+                let face = self.some_face.get(slots[i] as usize).map_or(0, |&face| face as usize);
+                let [a, b, _] = corner[face];
+                (face, if a == slots[i] { 0 } else { 1 + usize::from(b != slots[i]) })
+            });
+            for _ in 0..TOUCHED_FACES {
+                for (face, k) in &mut walks {
+                    let ([a, b, c], [ab, bc, ca]) = (corner[*face], twin[*face]);
+                    let (end, next) = [(b, ca), (c, ab), (a, bc)][*k];
+                    seen ^= self.position[end as usize][0];
+                    if next != NO_HALF_EDGE {
+                        (*face, *k) = ((next / 4) as usize, (next % 4).min(2) as usize);
+                    }
+                }
+            }
+        }
+        std::hint::black_box(seen);
     }
 
     /// Inserts a vertex by splitting `s`, whose fan the caller has just read, and returns its slot: the smallest free one.

@@ -46,6 +46,20 @@ pub(crate) struct Ranking {
 const PLACE_BITS: u32 = 8;
 const LAST_PLACE: i32 = (1 << PLACE_BITS) - 1;
 
+/// Scores that far below the best one all weigh the same.
+const LEAST_SCORE: usize = 16 * 20;
+
+/// Weights by how far a score is below the best one.
+static WEIGHTS: [u32; LEAST_SCORE + 1] = {
+    let mut weights = [0; LEAST_SCORE + 1];
+    let mut below = 0;
+    while below <= LEAST_SCORE {
+        weights[below] = power(-(below as i32));
+        below += 1;
+    }
+    weights
+};
+
 impl Default for Ranking {
     fn default() -> Self {
         Self { keys: [0; MAX_PAIRS], count: 0 }
@@ -196,44 +210,65 @@ impl Ranking {
     /// Weighs all pairs and returns the sum of the weights. The score of a pair is linear in what lies on its arc, so it is made
     /// of sums up to each spoke, twice around, instead of visiting the arc.
     fn rank(&mut self, weights: &CutWeights, ring: &Ring) -> u64 {
-        let spokes = ring.spokes.len();
-        let by_arc = &weights.arcs[spokes][1..spokes];
+        // With the number of spokes known to the compiler, loops over a handful of elements unroll and check no bounds.
+        match ring.spokes.len() {
+            3 => self.rank_of::<3>(weights, ring),
+            4 => self.rank_of::<4>(weights, ring),
+            5 => self.rank_of::<5>(weights, ring),
+            6 => self.rank_of::<6>(weights, ring),
+            7 => self.rank_of::<7>(weights, ring),
+            8 => self.rank_of::<8>(weights, ring),
+            9 => self.rank_of::<9>(weights, ring),
+            10 => self.rank_of::<10>(weights, ring),
+            11 => self.rank_of::<11>(weights, ring),
+            _ => self.rank_of::<MAX_SPOKES>(weights, ring),
+        }
+    }
+
+    fn rank_of<const SPOKES: usize>(&mut self, weights: &CutWeights, ring: &Ring) -> u64 {
+        let spokes = SPOKES;
+        let by_arc = &weights.arcs[spokes];
+        let lengths: &[i32; SPOKES] = ring.lengths[..].try_into().expect("a length for each spoke");
+        let edges: &[i32; SPOKES] = ring.edges[..].try_into().expect("an edge for each spoke of a closed ring");
         let shares = area_shares(ring);
         let (mut inner, mut cut) = ([0; MAX_SPOKES], [0; 2 * MAX_SPOKES]);
         // Of the edges before each spoke and the spokes before it, and of the areas.
         let (mut sums, mut areas) = ([0; 2 * MAX_SPOKES], [0; 2 * MAX_SPOKES]);
         let (mut sum, mut area) = (0, 0);
-        for i in 0..2 * spokes {
-            let spoke = if i < spokes { i } else { i - spokes };
-            let length = ring.lengths[spoke] - ring.spoke;
+        for i in 0..spokes {
+            let length = lengths[i] - ring.spoke;
             cut[i] = weights.cut_length * length;
             sums[i] = sum;
             areas[i] = area;
-            inner[spoke] = weights.inner_length * length;
-            sum += weights.edge_length * (ring.edges[spoke] - ring.spoke) + inner[spoke];
-            area += shares[spoke];
+            inner[i] = weights.inner_length * length;
+            sum += weights.edge_length * (edges[i] - ring.spoke) + inner[i];
+            area += shares[i];
+        }
+        for i in 0..spokes {
+            (cut[spokes + i], sums[spokes + i], areas[spokes + i]) = (cut[i], sums[i] + sum, areas[i] + area);
         }
         self.count = spokes * (spokes - 1);
+        let keys = &mut self.keys[..spokes * (spokes - 1)];
         let mut best = i32::MIN;
-        for (right, scores) in self.keys[..self.count].chunks_exact_mut(spokes - 1).enumerate() {
+        for right in 0..spokes {
             let start = cut[right] - sums[right] - inner[right];
             let start_area = -128 - areas[right];
-            let ends = right + 1..right + spokes;
-            let ends = sums[ends.clone()].iter().zip(&areas[ends.clone()]).zip(&cut[ends]);
-            for ((score, by_arc), ((sum, area), cut)) in scores.iter_mut().zip(by_arc).zip(ends) {
-                let area = start_area + area;
-                let sum = start + sum + cut + weights.area * area + weights.area_squared * ((area * area) >> 8);
-                *score = (sum + (by_arc << 8)) >> 8;
-                best = best.max(*score);
+            for arc in 1..spokes {
+                let end = right + arc;
+                let area = start_area + areas[end];
+                let of_area = weights.area * area + weights.area_squared * ((area * area) >> 8);
+                let score = (start + sums[end] + cut[end] + of_area + (by_arc[arc] << 8)) >> 8;
+                keys[right * (spokes - 1) + arc - 1] = score;
+                best = best.max(score);
             }
         }
         let mut total = 0;
-        for (at, key) in self.keys[..self.count].iter_mut().enumerate() {
-            let weight = power((*key - best).max(-16 * 20));
-            total += u64::from(weight);
+        for (at, key) in keys.iter_mut().enumerate() {
+            let weight = WEIGHTS[((best - *key) as usize).min(WEIGHTS.len() - 1)];
+            total += weight;
             *key = (weight << PLACE_BITS) as i32 | (LAST_PLACE - at as i32);
         }
-        total
+        total.into()
     }
 
     /// The first of the largest weights, and its place.

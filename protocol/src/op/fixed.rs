@@ -20,15 +20,58 @@ const POWERS: [u32; 16] = [
 
 /// `2^16 * 2^(x / 16)` for `x` at most 0, and at least 1.
 #[inline]
-pub(crate) fn power(x: i32) -> u32 {
+pub(crate) const fn power(x: i32) -> u32 {
     let down = (-x) as u32;
     let (whole, part) = (down.div_ceil(16), (16 - down % 16) % 16);
-    (POWERS[part as usize].checked_shr(whole).unwrap_or(0)).max(1)
+    match POWERS[part as usize].checked_shr(whole) {
+        None | Some(0) => 1,
+        Some(power) => power,
+    }
+}
+
+/// Most that [`mean`] divides by without a division.
+const MAX_RECIPROCAL: usize = 16;
+
+/// `2^35 / count`, rounded up.
+static RECIPROCALS: [u64; MAX_RECIPROCAL + 1] = {
+    let mut reciprocals = [0; MAX_RECIPROCAL + 1];
+    let mut count = 1;
+    while count <= MAX_RECIPROCAL {
+        reciprocals[count] = (1u64 << 35).div_ceil(count as u64);
+        count += 1;
+    }
+    reciprocals
+};
+
+/// `64 sum / count`, towards zero, of a sum of `count` numbers of at most 2^21 in magnitude; 0 without any.
+#[inline]
+pub(crate) fn mean(sum: i64, count: usize) -> i64 {
+    if count > MAX_RECIPROCAL {
+        return sum * 64 / count as i64;
+    }
+    // A rounded reciprocal is too large by less than `count / 2^35`, and `64 sum` is at most `count 2^27`: the product is too
+    // large by less than `count^2 / 2^8 <= 1` in units of the last quotient's `1 / count`, so its floor is the quotient.
+    let magnitude = (sum.unsigned_abs() * 64 * RECIPROCALS[count]) >> 35;
+    if sum < 0 { -(magnitude as i64) } else { magnitude as i64 }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn means_are_quotients() {
+        let mut rng = fastrand::Rng::with_seed(5);
+        assert_eq!(mean(0, 0), 0);
+        for count in 1..40 {
+            let most = (count as i64) << 21;
+            let at_random = (0..5000).map(|_| rng.i64(-most..=most) >> rng.u32(0..30));
+            let near_multiples = (0..4000).map(|i| most - i);
+            for sum in at_random.chain(near_multiples).flat_map(|sum| [sum, -sum]) {
+                assert_eq!(mean(sum, count), sum * 64 / count as i64, "{sum} / {count}");
+            }
+        }
+    }
 
     #[test]
     fn they_follow_the_floats() {

@@ -5,7 +5,7 @@
 //! residuals will be is predicted as well, since most of their cost is their size.
 
 use super::color::{ColorModels, Share};
-use super::fixed::lg;
+use super::fixed::{lg, mean};
 use super::local::{Ring, dot};
 use super::observe::{Note, Part};
 use super::range_coder::{BitCoder, NumberModel, Prob, ScaledSet, contexts};
@@ -196,10 +196,7 @@ impl GeometryFeatures {
             opened = add(opened, ring.spokes[spoke as usize]);
             count += 1;
         }
-        let mean = |sum: [i64; 3], count: usize| match count {
-            0 => [0; 3],
-            _ => sum.map(|x| x * 64 / count as i64),
-        };
+        let mean = |sum: [i64; 3], count: usize| sum.map(|x| mean(x, count));
         let ends_center = mean(opened, count);
         let arc_center = if inner == 0 { ends_center } else { mean(inside, inner) };
         let rest: [i64; 3] = std::array::from_fn(|k| ring.sum[k] - inside[k] - opened[k]);

@@ -36,6 +36,12 @@ pub(crate) fn dot(a: [i64; 3], b: [i64; 3]) -> i64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
+/// The vector with this many elements, for a loop to overwrite: pushing one by one checks the capacity each time.
+fn sized<T: Copy + Default>(buffer: &mut Vec<T>, len: usize) -> &mut [T] {
+    buffer.resize(len, T::default());
+    buffer
+}
+
 fn square(a: [i64; 3]) -> u64 {
     dot(a, a) as u64
 }
@@ -45,44 +51,53 @@ impl Ring {
     pub(crate) fn read(&mut self, s: u32, fan: &Fan, positions: &[[i32; 3]]) {
         let origin = positions[s as usize];
         self.origin = origin;
-        self.spokes.clear();
-        self.lengths.clear();
-        self.edges.clear();
-        self.crosses.clear();
-        self.areas.clear();
-        self.sum = [0; 3];
-        let (mut squares, mut shortest) = (0, u64::MAX);
-        for &slot in fan.ring() {
+        let (spokes, faces) = (fan.ring().len(), fan.faces() as usize);
+        let (mut sum, mut squares, mut shortest) = ([0; 3], 0u64, u64::MAX);
+        let lengths = sized(&mut self.lengths, spokes);
+        for ((&slot, spoke), lg_length) in fan.ring().iter().zip(sized(&mut self.spokes, spokes)).zip(lengths) {
             let p = positions[slot as usize];
             let d: [i64; 3] = std::array::from_fn(|k| i64::from(p[k]) - i64::from(origin[k]));
             let length = square(d);
-            squares = u64::saturating_add(squares, length);
+            squares = squares.saturating_add(length);
             shortest = shortest.min(length);
-            self.lengths.push(lg(length));
-            self.sum = std::array::from_fn(|k| self.sum[k] + d[k]);
-            self.spokes.push(d);
+            *lg_length = lg(length);
+            sum = std::array::from_fn(|k| sum[k] + d[k]);
+            *spoke = d;
         }
-        let (mut normal, mut ring_squares) = ([0i64; 3], 0);
-        let count = self.spokes.len();
-        for i in 0..fan.faces() as usize {
-            let (a, b) = (self.spokes[i], self.spokes[if i + 1 == count { 0 } else { i + 1 }]);
-            let cross = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+        self.sum = sum;
+        let (mut normal, mut ring_squares) = ([0i64; 3], 0u64);
+        let mut a = self.spokes[0];
+        // One spoke more than faces, or the first one again.
+        let ends = self.spokes[1..].iter().chain(&self.spokes[..1]);
+        let (edges, crosses) = (sized(&mut self.edges, faces), sized(&mut self.crosses, faces));
+        for ((&b, lg_edge), cross) in ends.zip(edges).zip(crosses) {
+            *cross = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
             normal = std::array::from_fn(|k| normal[k] + (cross[k] >> 4));
-            self.crosses.push(cross);
             let edge = square(std::array::from_fn(|k| b[k] - a[k]));
-            ring_squares = u64::saturating_add(ring_squares, edge);
-            self.edges.push(lg(edge));
+            ring_squares = ring_squares.saturating_add(edge);
+            *lg_edge = lg(edge);
+            a = b;
         }
         let largest = normal.iter().map(|x| x.unsigned_abs()).max().unwrap_or(0);
         let shift = (64 - largest.leading_zeros()).saturating_sub(30);
         self.normal = normal.map(|x| x >> shift);
-        let h = (0..3).max_by_key(|&k| (self.normal[k].unsigned_abs(), 2 - k)).unwrap_or(2);
+        let [x, y, z] = self.normal.map(i64::unsigned_abs);
+        let h = if x >= y && x >= z {
+            0
+        } else if y >= z {
+            1
+        } else {
+            2
+        };
         self.axes = match h {
             0 => [1, 2, 0],
             1 => [0, 2, 1],
             _ => [0, 1, 2],
         };
-        self.areas.extend(self.crosses.iter().map(|cross| cross[h].abs()));
+        for (area, cross) in sized(&mut self.areas, faces).iter_mut().zip(&self.crosses) {
+            *area = cross[h].abs();
+        }
+        let count = spokes;
         self.spoke = lg(squares / (count as u64).max(1));
         self.edge = lg(ring_squares / u64::from(fan.faces()).max(1));
         self.shortest = lg(shortest);

@@ -414,6 +414,20 @@ impl PackedModel {
         Ok(fields)
     }
 
+    /// Triangles that an op adds.
+    ///
+    /// # Errors
+    /// See [`PackedModel::bounds`].
+    pub fn triangles_of(&self, op: u32) -> Result<u32, PackError> {
+        if op < self.spawn_count() {
+            return self.spawn_triangles(op);
+        }
+        let (view, row) = self.split_row(op)?;
+        let tags = view.tags(row).ok_or_else(changed)?;
+        let sides = [tags, tags >> tag::RIGHT_SHIFT];
+        Ok(sides.iter().map(|side| u32::from(side & 3 != tag::CUT_NONE)).sum())
+    }
+
     /// Tree parent and what `s` is to it.
     #[inline]
     fn tree_parent(&self, view: PageView<'_>, row: usize) -> Result<(u32, u32), PackError> {

@@ -1,13 +1,14 @@
 //! The server's copy of what a client holds, and which op made which slot.
 
 use lodestream_protocol::ids::VertexSlot;
-use lodestream_protocol::mesh::{Fan, NewVertex, Patch, Replica, SlotSet};
+use lodestream_protocol::limits::MAX_VERTEX_SLOTS;
+use lodestream_protocol::mesh::{Fan, NewVertex, Patch, Replica, SlotSet, TOUCHED_AT_ONCE};
 use lodestream_protocol::op::{BatchEncoder, DecodeError, OpCounts, OpState};
 
 use super::select::OpMap;
 use crate::pack::place::Place;
 use crate::pack::record::NO_OP;
-use crate::pack::{PackError, PackedModel, SplitFields};
+use crate::pack::{PackError, PackedModel};
 
 /// Why a batch could not be made.
 #[derive(Debug, thiserror::Error)]
@@ -47,17 +48,21 @@ pub(crate) struct Mirror {
     state: OpState,
     /// Op whose address a slot is, or `NO_OP`.
     op_at: Vec<u32>,
+    /// Address of each applied op. While a batch is being made, also the round of each split that is still to come, marked as
+    /// [`PENDING`].
     slot_of: OpMap<u32>,
-    // Work space.
-    rounds: OpMap<u32>,
 }
+
+/// Above all addresses.
+const PENDING: u32 = 1 << 31;
+const _: () = assert!(MAX_VERTEX_SLOTS <= PENDING);
 
 impl Mirror {
     pub(crate) fn new(model: &PackedModel, cache_entries: u32) -> Result<Self, PackError> {
         let info = model.info();
         let state = OpState::new(model.base(), info.lattice.bits, info.has_colors, info.has_moves, cache_entries)
             .map_err(|error| PackError::Damaged { section: "base", reason: error.to_string() })?;
-        Ok(Self { state, op_at: Vec::new(), slot_of: OpMap::default(), rounds: OpMap::default() })
+        Ok(Self { state, op_at: Vec::new(), slot_of: OpMap::default() })
     }
 
     pub(crate) fn replica(&self) -> &Replica {
@@ -79,7 +84,7 @@ impl Mirror {
     }
 
     pub(crate) fn heap_bytes(&self) -> usize {
-        self.state.heap_bytes() + self.op_at.capacity() * 4 + (self.slot_of.capacity() + self.rounds.capacity()) * 9
+        self.state.heap_bytes() + self.op_at.capacity() * 4 + self.slot_of.capacity() * 9
     }
 
     /// Encodes a batch and applies it. Returns the bytes, what they do, and how many of the plan's ops, counted from the
@@ -89,8 +94,8 @@ impl Mirror {
         model: &PackedModel,
         plan: &mut BatchPlan<'_>,
     ) -> Result<(Vec<u8>, OpCounts, usize), MirrorError> {
-        let Self { state, op_at, slot_of, rounds } = self;
-        let triangles = |&op: &u32| super::select::triangles_of(model, op);
+        let Self { state, op_at, slot_of } = self;
+        let triangles = |&op: &u32| model.triangles_of(op);
         let added: Vec<u32> = plan.ops.iter().map(triangles).collect::<Result<_, _>>()?;
         let needed = added.iter().fold(state.replica().triangle_count(), |sum, &n| sum.saturating_add(n));
         let to_free = needed.saturating_sub(plan.limit).min(MAX_FREED);
@@ -107,7 +112,7 @@ impl Mirror {
             .count();
         let ops = &plan.ops[..fitting];
         spawn(&mut encoder, model, ops, plan.limit, op_at, slot_of)?;
-        split(&mut encoder, model, ops, plan.limit, op_at, slot_of, rounds)?;
+        split(&mut encoder, model, ops, plan.limit, op_at, slot_of)?;
         let (bytes, counts) = encoder.finish();
         Ok((bytes, counts, fitting))
     }
@@ -186,44 +191,51 @@ fn split(
     limit: u32,
     op_at: &mut Vec<u32>,
     slot_of: &mut OpMap<u32>,
-    rounds: &mut OpMap<u32>,
 ) -> Result<(), MirrorError> {
     // The round of an op is one more than that of its latest parent in this batch: then it is legal, and by the rule of
     // neighbouring faces its vertex is among those that the round before touched.
-    rounds.clear();
     let mut by_round: Vec<Vec<u32>> = Vec::new();
     for &op in ops.iter().filter(|&&op| op >= model.spawn_count()) {
         let (parents, count) = model.parents(op)?;
-        let round = parents[..count].iter().filter_map(|p| rounds.get(p)).map(|r| r + 1).max().unwrap_or(0);
-        rounds.insert(op, round);
+        let pending = |parent: &u32| slot_of.get(parent).filter(|&&slot| slot >= PENDING);
+        let round = parents[..count].iter().filter_map(pending).map(|round| round - PENDING + 1).max().unwrap_or(0);
+        slot_of.insert(op, PENDING + round);
         if by_round.len() <= round as usize {
             by_round.resize(round as usize + 1, Vec::new());
         }
         by_round[round as usize].push(op);
     }
-    let mut vertices = Vec::new();
+    let (mut members, mut order, mut vertices) = (Vec::new(), Vec::new(), Vec::new());
     for (round, ops) in by_round.iter().enumerate() {
-        let mut members: Vec<(Place, u32, SplitFields)> = Vec::with_capacity(ops.len());
+        members.clear();
+        order.clear();
         for &op in ops {
             let fields = model.split(op)?;
-            let place = Place::find(model, encoder.replica(), |op| slot_of.get(&op).copied(), &fields)?
+            let address = |op| slot_of.get(&op).copied().filter(|&slot| slot < PENDING);
+            let place = Place::find(model, encoder.replica(), address, &fields)?
                 .ok_or_else(|| missing(op, "a parent is not applied"))?;
-            members.push((place, op, fields));
-        }
-        members.sort_unstable_by_key(|m| m.0.s);
-        vertices.clear();
-        vertices.extend(members.iter().map(|m| m.0.s.0));
-        encoder.split_round(&vertices)?;
-        for (place, op, fields) in members {
             let vertex = NewVertex {
                 position: fields.position,
                 color: fields.color,
                 s_move: fields.s_move,
                 s_color_move: fields.s_color_move,
             };
-            let resolve = |replica: &Replica, fan: &Fan| Some((place.cut(replica, fan).ok()?, vertex));
-            let t = encoder.split(place.s.0, limit, resolve).map_err(|error| missing(op, &error.to_string()))?;
-            note(op_at, slot_of, op, t.0);
+            // What is sorted stays small: the vertex to split, then where the rest is.
+            order.push(u64::from(place.s.0) << 32 | members.len() as u64);
+            members.push((place, op, vertex));
+        }
+        order.sort_unstable();
+        vertices.clear();
+        vertices.extend(order.iter().map(|key| (key >> 32) as u32));
+        encoder.split_round(&vertices)?;
+        for (order, vertices) in order.chunks(TOUCHED_AT_ONCE).zip(vertices.chunks(TOUCHED_AT_ONCE)) {
+            encoder.replica().touch_fans(vertices);
+            for key in order {
+                let (place, op, vertex) = &members[*key as u32 as usize];
+                let resolve = |replica: &Replica, fan: &Fan| Some((place.cut(replica, fan).ok()?, *vertex));
+                let t = encoder.split(place.s.0, limit, resolve).map_err(|error| missing(*op, &error.to_string()))?;
+                note(op_at, slot_of, *op, t.0);
+            }
         }
         let more = encoder.end_split_round();
         if round + 1 == by_round.len() && more {

@@ -103,3 +103,18 @@ fn a_batch_over_the_limit_is_refused() {
     assert!(counts.max_triangles > 4 && server.replica.triangle_count() <= 100);
     assert!(matches!(decode_batch(&bytes, &mut client, 5), Err(DecodeError::OverLimit { limit: 5, .. })));
 }
+
+#[test]
+fn candidates_are_sorted_whatever_their_number() {
+    let mut rng = fastrand::Rng::with_seed(9);
+    for round in 0..200 {
+        let most = u32::MAX >> rng.u32(0..32);
+        let mut candidates: Vec<(u32, u8)> = (0..rng.usize(0..2000)).map(|_| (rng.u32(0..=most), rng.u8(..))).collect();
+        let mut expected = candidates.clone();
+        super::sort_by_slot(&mut candidates);
+        assert!(candidates.is_sorted_by_key(|candidate| candidate.0), "round {round}");
+        expected.sort_unstable();
+        candidates.sort_unstable();
+        assert_eq!(candidates, expected, "round {round}");
+    }
+}
