@@ -120,6 +120,8 @@ pub struct Replica {
     collapsible: SlotSet,
     spawns: BTreeMap<u32, Spawn>,
     spawned_ids: std::collections::BTreeSet<u32>,
+    /// Slots that the spawns have, for accounting.
+    spawned_slots: usize,
     base_slots: u32,
     base_faces: u32,
     triangles: u32,
@@ -152,6 +154,7 @@ impl Replica {
             collapsible: SlotSet::default(),
             spawns: BTreeMap::new(),
             spawned_ids: std::collections::BTreeSet::new(),
+            spawned_slots: 0,
             base_slots,
             base_faces: faces,
             triangles: 0,
@@ -517,6 +520,7 @@ impl Replica {
         self.collapsible.insert(address);
         self.references[address as usize] = 0;
         self.spawned_ids.insert(id);
+        self.spawned_slots += slots.len();
         let spawn = Spawn { id, slots: slots.into_boxed_slice(), faces: patch.faces.len() as u32 };
         self.spawns.insert(address, spawn);
         Ok(VertexSlot(address))
@@ -543,6 +547,7 @@ impl Replica {
         }
         self.collapsible.remove(address.0);
         self.spawned_ids.remove(&spawn.id);
+        self.spawned_slots -= spawn.slots.len();
         Ok((spawn.id, spawn.slots))
     }
 
@@ -560,7 +565,7 @@ impl Replica {
         }
     }
 
-    /// Bytes of memory held, for accounting.
+    /// Bytes of memory held, for accounting. O(1).
     pub fn heap_bytes(&self) -> usize {
         self.position.capacity() * 12
             + self.color.capacity() * 3
@@ -571,7 +576,8 @@ impl Replica {
             + self.occupied.heap_bytes()
             + self.vertices.heap_bytes()
             + self.collapsible.heap_bytes()
-            + self.spawns.values().map(|s| 64 + s.slots.len() * 4).sum::<usize>()
+            + self.spawns.len() * 64
+            + self.spawned_slots * 4
     }
 
     /// The digest from scratch, for tests.

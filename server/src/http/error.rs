@@ -8,6 +8,7 @@ use serde_json::json;
 
 use super::models::OpenError;
 use crate::runtime::Full;
+use crate::runtime::metrics::Refusal;
 
 /// How long a client should wait before it asks a full or stopping server again, in seconds.
 const RETRY_AFTER_S: &str = "5";
@@ -45,6 +46,20 @@ pub(super) enum HttpError {
 }
 
 impl HttpError {
+    /// Under which reason a refused stream is counted.
+    pub(super) fn refusal(&self) -> Refusal {
+        match self {
+            Self::NoSuchPage(_) | Self::NoSuchModel(_) | Self::NoThumbnail(_) | Self::ModelUnusable(_) => {
+                Refusal::Model
+            }
+            Self::ForeignOrigin(_) => Refusal::Origin,
+            Self::NoWebSocket(_) => Refusal::NoWebSocket,
+            Self::Full(_) => Refusal::Full,
+            Self::ShuttingDown => Refusal::ShuttingDown,
+            Self::Internal => Refusal::Internal,
+        }
+    }
+
     fn status(&self) -> StatusCode {
         match self {
             Self::NoSuchPage(_) | Self::NoSuchModel(_) | Self::NoThumbnail(_) => StatusCode::NOT_FOUND,

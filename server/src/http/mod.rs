@@ -5,6 +5,7 @@
 mod catalogue;
 mod error;
 mod health;
+mod metrics;
 pub mod models;
 mod serve;
 #[cfg(test)]
@@ -21,7 +22,7 @@ use axum::routing::get;
 pub use models::{ModelEntry, ModelStatus, Models, OpenError};
 pub use serve::{Drained, bind, serve};
 
-use crate::runtime::{Admission, DriverSettings, PageReader, Pool, Shutdown, Workers};
+use crate::runtime::{Admission, DriverSettings, Metrics, PageReader, Pool, Shutdown, Workers};
 
 /// What bounds the server.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -69,7 +70,8 @@ impl App {
     pub fn new(models: Box<dyn Models>, settings: Settings, shutdown: Shutdown) -> std::io::Result<Arc<Self>> {
         // A session hands in one slice at a time, and a closing one may overlap with its successor.
         let pool = Pool::new(settings.compute_threads, 2 * settings.max_sessions as usize)?;
-        let workers = Workers { pool, reader: PageReader::new(settings.reader_threads)? };
+        let reader = PageReader::new(settings.reader_threads)?;
+        let workers = Workers { pool, reader, metrics: Arc::new(Metrics::new()) };
         let admission = Admission::new(settings.max_sessions);
         Ok(Arc::new(Self { models, workers, admission, shutdown, settings }))
     }
@@ -82,6 +84,7 @@ fn router(app: Arc<App>) -> Router {
         .route("/models/{id}", get(catalogue::model))
         .route("/models/{id}/stream", get(ws::stream))
         .route("/models/{id}/thumbnail", get(catalogue::thumbnail))
+        .route("/metrics", get(metrics::page))
         .route("/healthz", get(health::alive))
         .route("/readyz", get(health::ready))
         .fallback(error::no_such_page)

@@ -80,6 +80,10 @@ impl Models for TestModels {
         vec![entry("damaged", "", ModelStatus::Quarantined), entry("echo", "A <b>title", ModelStatus::Ready)]
     }
 
+    fn open_count(&self) -> usize {
+        1
+    }
+
     fn open(&self, id: &str) -> Result<Box<dyn Core>, OpenError> {
         match id {
             "echo" => Ok(Box::new(Echo::default())),
@@ -190,6 +194,39 @@ async fn assert_echoes(socket: &mut Socket) {
             }
         };
         assert_eq!(answer, Message::binary(frame.to_vec()));
+    }
+}
+
+#[tokio::test]
+async fn metrics_count_streams_by_how_they_went() {
+    let server = Server::start(|settings| settings.max_sessions = 1).await;
+    let mut socket = server.connect().await;
+    assert_echoes(&mut socket).await;
+    assert_eq!(server.connect_from(None, "echo").await.unwrap_err().0, 503);
+    say(&mut socket, b"fail").await;
+    assert_eq!(close_frame(&mut socket).await.0, CloseCode::LimitTooSmall as u16);
+    drop(socket);
+    server.app.admission.wait_empty().await;
+    let (status, text) = server.get("/metrics", "").await;
+    assert_eq!(status, 200);
+    assert!(text.contains("content-type: text/plain; version=0.0.4; charset=utf-8"), "{text}");
+    for line in [
+        "lodestream_admitted_total 1",
+        "lodestream_refused_total{reason=\"full\"} 1",
+        "lodestream_closed_total{code=\"limit_too_small\"} 1",
+        "lodestream_received_bytes_total 14",
+        "lodestream_queue_wait_seconds_bucket{le=\"+inf\"} 10",
+        "lodestream_sessions{state=\"moving\"} 0",
+        "lodestream_open_models 1",
+    ] {
+        let name = line.split(' ').next().unwrap();
+        let printed = text.lines().find(|line| line.split(' ').next() == Some(name));
+        if name.starts_with("lodestream_queue") {
+            // Frames in, frames out, and one more when there is nothing left: how many depends on how they meet.
+            assert!(printed.is_some_and(|line| !line.ends_with(" 0")), "{name} in\n{text}");
+        } else {
+            assert_eq!(printed, Some(line));
+        }
     }
 }
 

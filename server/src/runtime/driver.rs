@@ -11,6 +11,7 @@ use lodestream_protocol::time::Timestamp;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep_until};
 
+use super::metrics::Account;
 use super::pool::PoolError;
 use super::{Reading, Workers};
 use crate::session::{Session, SessionError, SessionStats, WantedPages};
@@ -150,6 +151,8 @@ pub async fn drive(
         started: Instant::now(),
         wake: None,
         wants_transmit: false,
+        account: Account::new(std::sync::Arc::clone(&workers.metrics)),
+        view_time: None,
     };
     let end = tokio::select! {
         biased;
@@ -172,6 +175,20 @@ struct Driver<'a> {
     /// When to ask for a frame again although none came in.
     wake: Option<Instant>,
     wants_transmit: bool,
+    account: Account,
+    /// Compute time since the newest view came, until there is a frame for it.
+    view_time: Option<Duration>,
+}
+
+/// What a slice gives back.
+struct Done<T> {
+    core: Box<dyn Core>,
+    result: Result<T, SessionError>,
+    timeout: Option<Timestamp>,
+    wanted: Option<WantedPages>,
+    stats: SessionStats,
+    waited: Duration,
+    took: Duration,
 }
 
 impl Driver<'_> {
@@ -218,6 +235,7 @@ impl Driver<'_> {
     }
 
     async fn handle(&mut self, frame: Vec<u8>) -> Result<(), SessionEnd> {
+        self.account.metrics().note_received(frame.len());
         self.slice(move |core, now| core.handle_frame(now, &frame)).await?;
         self.wants_transmit = true;
         Ok(())
@@ -231,7 +249,12 @@ impl Driver<'_> {
 
     async fn transmit(&mut self, room: mpsc::Permit<'_, Vec<u8>>) -> Result<(), SessionEnd> {
         match self.slice(|core, now| core.poll_transmit(now)).await? {
-            Some(frame) => room.send(frame),
+            Some(frame) => {
+                if let Some(time) = self.view_time.take() {
+                    self.account.metrics().note_view_time(time);
+                }
+                room.send(frame);
+            }
             None => self.wants_transmit = false,
         }
         Ok(())
@@ -243,23 +266,43 @@ impl Driver<'_> {
         call: impl FnOnce(&mut dyn Core, Timestamp) -> Result<T, SessionError> + Send + 'static,
     ) -> Result<T, SessionEnd> {
         let mut core = self.core.take().expect("a session runs one slice at a time");
-        let started = self.started;
-        let (core, result, timeout, wanted) = self
+        let (started, handed_in) = (self.started, std::time::Instant::now());
+        let done = self
             .workers
             .pool
             .run(move || {
+                let began = std::time::Instant::now();
                 let result = call(core.as_mut(), Timestamp(started.elapsed()));
-                let (timeout, wanted) = (core.poll_timeout(), core.poll_wanted());
-                (core, result, timeout, wanted)
+                let (timeout, wanted, stats) = (core.poll_timeout(), core.poll_wanted(), core.stats());
+                let waited = began.duration_since(handed_in);
+                Done { core, result, timeout, wanted, stats, waited, took: began.elapsed() }
             })
             .await
             .map_err(SessionEnd::Lost)?;
-        self.core = Some(core);
-        if let Some(wanted) = wanted {
+        self.core = Some(done.core);
+        if let Some(wanted) = done.wanted {
             self.reading.want(wanted);
         }
-        self.wake = timeout.map(|at| (self.started + at.0).max(Instant::now() + SHORTEST_WAIT));
-        Ok(result?)
+        self.wake = done.timeout.map(|at| (self.started + at.0).max(Instant::now() + SHORTEST_WAIT));
+        self.count(&done.stats, done.waited, done.took);
+        Ok(done.result?)
+    }
+
+    /// Adds a slice to the metrics.
+    fn count(&mut self, stats: &SessionStats, waited: Duration, took: Duration) {
+        let metrics = self.account.metrics();
+        metrics.note_queue_wait(waited);
+        let before = self.account.stats();
+        if stats.batches > before.batches {
+            metrics.note_batch_time(took);
+        }
+        if stats.views > before.views {
+            self.view_time = Some(Duration::ZERO);
+        }
+        if let Some(time) = &mut self.view_time {
+            *time += took;
+        }
+        self.account.update(*stats);
     }
 }
 
@@ -325,7 +368,8 @@ mod tests {
 
     fn workers() -> std::sync::Arc<Workers> {
         let threads = NonZeroUsize::MIN;
-        std::sync::Arc::new(Workers { pool: Pool::new(threads, 4).unwrap(), reader: PageReader::new(threads).unwrap() })
+        let (pool, reader) = (Pool::new(threads, 4).unwrap(), PageReader::new(threads).unwrap());
+        std::sync::Arc::new(Workers { pool, reader, metrics: Default::default() })
     }
 
     fn start(hello_timeout: Duration, interrupted: impl Future<Output = SessionEnd> + Send + 'static) -> Session {

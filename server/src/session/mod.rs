@@ -106,6 +106,18 @@ impl From<MirrorError> for SessionError {
     }
 }
 
+/// What a session does.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Activity {
+    /// Something is still to be sent for the newest view, or there is none yet.
+    #[default]
+    Moving,
+    /// Nothing is to be sent until the view changes.
+    Settled,
+    /// Likewise for a while: the mirror was dropped and comes back with the next view.
+    Resting,
+}
+
 /// Totals of a session, for metrics and logs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SessionStats {
@@ -119,14 +131,22 @@ pub struct SessionStats {
     pub cached_splits: u64,
     /// Edge collapses.
     pub collapses: u64,
-    /// Components inserted and removed.
+    /// Components inserted.
     pub spawns: u64,
+    /// Components removed.
+    pub despawns: u64,
     /// Resets that the client asked for.
     pub resets: u64,
     /// Views received.
     pub views: u64,
+    /// Mirrors dropped because the session was at rest, and mirrors rebuilt.
+    pub rests: u64,
+    /// See `rests`.
+    pub wakes: u64,
     /// Memory held now.
     pub heap_bytes: u64,
+    /// What it does now.
+    pub activity: Activity,
 }
 
 /// Pages that a session needs.
@@ -310,7 +330,8 @@ impl Session {
             self.stats.splits += u64::from(counts.splits);
             self.stats.cached_splits += u64::from(counts.cached_splits);
             self.stats.collapses += u64::from(counts.collapses);
-            self.stats.spawns += u64::from(counts.spawns + counts.despawns);
+            self.stats.spawns += u64::from(counts.spawns);
+            self.stats.despawns += u64::from(counts.despawns);
             let seq = running.last_seq;
             work.has_settled = work.is_done();
             let in_force = (current.view.triangle_limit, work.lambda);
@@ -355,7 +376,9 @@ impl Session {
     /// Totals so far.
     pub fn stats(&self) -> SessionStats {
         let held = self.running.as_ref().map_or(0, Running::heap_bytes);
-        SessionStats { heap_bytes: held as u64, ..self.stats }
+        let work = self.running.as_ref().and_then(|running| running.work.as_ref());
+        let activity = if work.is_some_and(|work| work.has_settled) { Activity::Settled } else { Activity::Moving };
+        SessionStats { heap_bytes: held as u64, activity, ..self.stats }
     }
 
     /// The mirror of the client's mesh, once the client has said hello.
