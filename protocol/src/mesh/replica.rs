@@ -349,11 +349,28 @@ impl Replica {
     /// # Errors
     /// [`ApplyError::BadCut`] or [`ApplyError::OutOfSlots`]; nothing has changed then.
     pub fn split(&mut self, s: VertexSlot, fan: &Fan, cut: Cut, vertex: &NewVertex) -> Result<VertexSlot, ApplyError> {
+        let t = VertexSlot(self.occupied.smallest_free());
+        self.split_into(s, t, fan, cut, vertex)
+    }
+
+    /// As [`split`](Self::split), into a slot that the caller names: for a server that builds a mesh anew whose slots it
+    /// knows. Ops may come in any order in which parents precede their children.
+    ///
+    /// # Errors
+    /// As [`split`](Self::split); [`ApplyError::OutOfSlots`] also where the slot is taken.
+    pub fn split_into(
+        &mut self,
+        s: VertexSlot,
+        t: VertexSlot,
+        fan: &Fan,
+        cut: Cut,
+        vertex: &NewVertex,
+    ) -> Result<VertexSlot, ApplyError> {
         if !fan.admits(cut) {
             return Err(ApplyError::BadCut { slot: s.0, faces: fan.faces(), cut });
         }
-        let t = self.occupied.smallest_free();
-        if t >= MAX_VERTEX_SLOTS {
+        let t = t.0;
+        if t >= MAX_VERTEX_SLOTS || self.occupied.contains(t) {
             return Err(ApplyError::OutOfSlots);
         }
         self.occupy(t);
@@ -515,15 +532,38 @@ impl Replica {
             self.occupy(slot);
             slots.push(slot);
         }
+        Ok(self.insert_spawn(id, patch, &twins, slots))
+    }
+
+    /// As [`spawn`](Self::spawn), into slots that the caller names, ascending and as many as the spawn reserves: see
+    /// [`split_into`](Self::split_into).
+    ///
+    /// # Errors
+    /// As [`spawn`](Self::spawn); [`ApplyError::OutOfSlots`] also where a slot is taken or their number is another.
+    pub fn spawn_into(&mut self, id: u32, patch: &Patch, slots: &[u32]) -> Result<VertexSlot, ApplyError> {
+        if self.spawned_ids.contains(&id) {
+            return Err(ApplyError::SpawnedTwice(id));
+        }
+        let twins = patch.validate()?;
+        let count = patch.positions.len().max(patch.faces.len().div_ceil(2));
+        let is_free = |&slot: &u32| slot < MAX_VERTEX_SLOTS && !self.occupied.contains(slot);
+        if count == 0 || slots.len() != count || !slots.is_sorted_by(|a, b| a < b) || !slots.iter().all(is_free) {
+            return Err(ApplyError::OutOfSlots);
+        }
+        slots.iter().for_each(|&slot| self.occupy(slot));
+        Ok(self.insert_spawn(id, patch, &twins, slots.to_vec()))
+    }
+
+    fn insert_spawn(&mut self, id: u32, patch: &Patch, twins: &[[u32; 3]], slots: Vec<u32>) -> VertexSlot {
         let address = slots[0];
-        self.insert_patch(patch, &twins, &slots, address);
+        self.insert_patch(patch, twins, &slots, address);
         self.collapsible.insert(address);
         self.references[address as usize] = 0;
         self.spawned_ids.insert(id);
         self.spawned_slots += slots.len();
         let spawn = Spawn { id, slots: slots.into_boxed_slice(), faces: patch.faces.len() as u32 };
         self.spawns.insert(address, spawn);
-        Ok(VertexSlot(address))
+        VertexSlot(address)
     }
 
     /// Removes a spawned component and returns its number and the slots it had.

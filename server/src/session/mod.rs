@@ -8,12 +8,15 @@
 //! names those it needs, whoever may wait for the disk reads them, and [`Session::handle_pages`] is told. Until then the ops of
 //! such pages are as if they did not exist yet, and the view does not settle.
 //!
+//! A session whose view has settled rests after a while: the mirror goes, and comes back with the next view (`rest`).
+//!
 //! `score` judges one op for a view, `select` finds the set of ops that a view asks for, `mirror` keeps the client's state
 //! and encodes, `pacer` says how much may be on its way.
 
 mod mirror;
 mod order;
 mod pacer;
+mod rest;
 pub mod score;
 mod select;
 #[cfg(test)]
@@ -35,6 +38,7 @@ use lodestream_protocol::wire;
 
 use self::mirror::{BatchPlan, Mirror, MirrorError};
 use self::pacer::Pacer;
+use self::rest::Resting;
 use self::score::Scorer;
 use self::select::{PageAccess, select};
 pub use self::select::{ops_by_error, ops_for_view};
@@ -59,11 +63,13 @@ pub struct SessionConfig {
     pub max_cache_entries: u32,
     /// Most bytes that may be unacknowledged, whatever the link.
     pub max_window_bytes: u32,
+    /// A session whose view has settled drops its mirror after so long without another one.
+    pub rest_after: Duration,
 }
 
 impl Default for SessionConfig {
     fn default() -> Self {
-        Self { max_cache_entries: 1 << 17, max_window_bytes: 1 << 20 }
+        Self { max_cache_entries: 1 << 17, max_window_bytes: 1 << 20, rest_after: Duration::from_secs(5) }
     }
 }
 
@@ -174,7 +180,12 @@ pub struct Session {
 #[derive(Debug)]
 struct Running {
     cache_entries: u32,
-    mirror: Mirror,
+    /// `None` while the session rests.
+    mirror: Option<Mirror>,
+    /// What comes back as the mirror.
+    resting: Option<Box<Resting>>,
+    /// Since when nothing is left to do for the view, if so.
+    settled_at: Option<Timestamp>,
     pacer: Pacer,
     last_seq: BatchSeq,
     /// Limit and threshold as the last batch left them, which the next one need not repeat.
@@ -207,7 +218,6 @@ struct Work {
     missing: Vec<PageId>,
     /// Whether [`Session::poll_wanted`] has named them.
     is_announced: bool,
-    has_settled: bool,
 }
 
 impl Session {
@@ -275,6 +285,7 @@ impl Session {
                 self.stats.views += 1;
                 running.view = Some(CurrentView { seq, view, received_at: now });
                 running.work = None;
+                running.settled_at = None;
                 Ok(())
             }
             (ClientMessage::Ack { seq }, Some(running)) => {
@@ -286,7 +297,9 @@ impl Session {
             }
             (ClientMessage::Reset { .. }, Some(running)) => {
                 self.stats.resets += 1;
-                running.mirror = Mirror::new(&self.model, running.cache_entries)?;
+                running.mirror = Some(Mirror::new(&self.model, running.cache_entries)?);
+                running.resting = None;
+                running.settled_at = None;
                 running.pacer.restart(now);
                 running.last_seq = BatchSeq(0);
                 running.told = None;
@@ -308,22 +321,36 @@ impl Session {
         }
         let Some(running) = &mut self.running else { return Ok(None) };
         let Some(current) = &running.view else { return Ok(None) };
+        if let Some(settled_at) = running.settled_at {
+            if running.mirror.is_some() && now >= settled_at + self.config.rest_after {
+                running.rest();
+                self.stats.rests += 1;
+            }
+            return Ok(None);
+        }
         let allowance = running.pacer.allowance(now);
         if allowance == 0 {
             return Ok(None);
         }
+        let mirror = match (&mut running.mirror, &running.resting) {
+            (Some(mirror), _) => mirror,
+            (none, Some(resting)) => {
+                let woken = resting.wake(&self.model)?;
+                running.resting = None;
+                self.stats.wakes += 1;
+                none.insert(woken)
+            }
+            (None, None) => return Err(SessionError::Internal("a session has lost its mirror".into())),
+        };
         if running.work.is_none() {
-            running.work = Some(Work::new(&self.model, self.access, &current.view, &running.mirror)?);
+            running.work = Some(Work::new(&self.model, self.access, &current.view, mirror)?);
         }
         let work = running.work.as_mut().expect("made above");
-        if work.has_settled {
-            return Ok(None);
-        }
         if now.since(current.received_at) >= HYSTERESIS && work.missing.is_empty() {
             work.reluctant = SlotSet::default();
         }
-        if let Some(mut plan) = work.next_batch(&self.model, &running.mirror, current.view.triangle_limit, allowance)? {
-            let (ops, counts, applied) = running.mirror.batch(&self.model, &mut plan)?;
+        if let Some(mut plan) = work.next_batch(&self.model, mirror, current.view.triangle_limit, allowance)? {
+            let (ops, counts, applied) = mirror.batch(&self.model, &mut plan)?;
             work.next += applied;
             running.last_seq.0 += 1;
             self.stats.batches += 1;
@@ -333,7 +360,8 @@ impl Session {
             self.stats.spawns += u64::from(counts.spawns);
             self.stats.despawns += u64::from(counts.despawns);
             let seq = running.last_seq;
-            work.has_settled = work.is_done();
+            let has_settled = work.is_done();
+            running.settled_at = has_settled.then_some(now);
             let in_force = (current.view.triangle_limit, work.lambda);
             let before = running.told.replace(in_force);
             let message = ServerMessage::Batch(Batch {
@@ -341,8 +369,8 @@ impl Session {
                 view: current.seq.low(),
                 limit: before.is_none_or(|told| told.0 != in_force.0).then_some(in_force.0),
                 lambda_px: before.is_none_or(|told| told.1 != in_force.1).then_some(in_force.1),
-                digest: running.mirror.replica().digest() as u32,
-                outcome: work.has_settled.then_some(work.outcome()),
+                digest: mirror.replica().digest() as u32,
+                outcome: has_settled.then_some(work.outcome()),
                 ops,
             });
             let frame = wire::encode_server(&message);
@@ -353,18 +381,30 @@ impl Session {
         if !work.is_done() {
             return Ok(None);
         }
-        work.has_settled = true;
+        running.settled_at = Some(now);
         let message =
             ServerMessage::Settled(Settled { view: current.seq, seq: running.last_seq, outcome: work.outcome() });
         Ok(Some(self.frame(&message)))
+    }
+
+    /// Drops the mirror now, whatever is left to do: it is rebuilt when the next frame is to be made. For a client that has gone
+    /// away, and where memory runs short. O(ops).
+    pub fn rest(&mut self) {
+        if let Some(running) = self.running.as_mut().filter(|running| running.mirror.is_some()) {
+            running.rest();
+            self.stats.rests += 1;
+        }
     }
 
     /// When to call [`poll_transmit`](Self::poll_transmit) again although no frame came in.
     pub fn poll_timeout(&self) -> Option<Timestamp> {
         let running = self.running.as_ref()?;
         let current = running.view.as_ref()?;
+        if let Some(settled_at) = running.settled_at {
+            return running.mirror.as_ref().map(|_| settled_at + self.config.rest_after);
+        }
         let work = running.work.as_ref();
-        if work.is_some_and(|work| work.has_settled || work.waits_for_pages()) {
+        if work.is_some_and(Work::waits_for_pages) {
             return None;
         }
         // Once the view has rested, or where pages are missing, nothing but a frame from the client changes what can be sent.
@@ -376,19 +416,22 @@ impl Session {
     /// Totals so far.
     pub fn stats(&self) -> SessionStats {
         let held = self.running.as_ref().map_or(0, Running::heap_bytes);
-        let work = self.running.as_ref().and_then(|running| running.work.as_ref());
-        let activity = if work.is_some_and(|work| work.has_settled) { Activity::Settled } else { Activity::Moving };
+        let activity = self.running.as_ref().map_or(Activity::Moving, Running::activity);
         SessionStats { heap_bytes: held as u64, activity, ..self.stats }
     }
 
-    /// The mirror of the client's mesh, once the client has said hello.
+    /// The mirror of the client's mesh, once the client has said hello and while the session does not rest.
     pub fn mirror(&self) -> Option<&Replica> {
-        self.running.as_ref().map(|running| running.mirror.replica())
+        self.running.as_ref()?.mirror.as_ref().map(Mirror::replica)
     }
 
     /// Applied ops and the slots they are addressed by, ids ascending, for tests and diagnostics.
     pub fn applied_ops(&self) -> Vec<(u32, u32)> {
-        let mut ops: Vec<(u32, u32)> = self.running.iter().flat_map(|running| running.mirror.applied()).collect();
+        let mut ops: Vec<(u32, u32)> = match &self.running {
+            Some(Running { mirror: Some(mirror), .. }) => mirror.applied().collect(),
+            Some(Running { resting: Some(resting), .. }) => resting.applied().into_iter().collect(),
+            _ => Vec::new(),
+        };
         ops.sort_unstable();
         ops
     }
@@ -409,7 +452,9 @@ impl Session {
         });
         self.running = Some(Running {
             cache_entries,
-            mirror: Mirror::new(&self.model, cache_entries)?,
+            mirror: Some(Mirror::new(&self.model, cache_entries)?),
+            resting: None,
+            settled_at: None,
             pacer: Pacer::new(self.config.max_window_bytes, hello.byte_rate, now),
             last_seq: BatchSeq(0),
             told: None,
@@ -432,7 +477,24 @@ impl Running {
             .work
             .as_ref()
             .map_or(0, |work| work.pending.capacity() * 4 + work.stale.heap_bytes() + work.reluctant.heap_bytes());
-        self.mirror.heap_bytes() + work
+        let mirror = self.mirror.as_ref().map_or(0, Mirror::heap_bytes);
+        mirror + self.resting.as_ref().map_or(0, |resting| resting.heap_bytes()) + work
+    }
+
+    fn activity(&self) -> Activity {
+        match (&self.mirror, self.settled_at) {
+            (None, _) => Activity::Resting,
+            (_, Some(_)) => Activity::Settled,
+            (_, None) => Activity::Moving,
+        }
+    }
+
+    /// Drops the mirror, and with it the plan: a new view makes both anew.
+    fn rest(&mut self) {
+        if let Some(mirror) = self.mirror.take() {
+            self.resting = Some(Box::new(Resting::new(&mirror)));
+            self.work = None;
+        }
     }
 }
 
@@ -462,7 +524,6 @@ impl Work {
             is_limited: selection.is_limited,
             is_announced: access == PageAccess::Blocking,
             missing: selection.missing,
-            has_settled: false,
         })
     }
 
