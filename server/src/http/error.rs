@@ -37,6 +37,9 @@ pub(super) enum HttpError {
     /// All sessions are in use.
     #[error(transparent)]
     Full(#[from] Full),
+    /// Sessions hold as much memory as they may.
+    #[error("the server is full: its sessions hold all the memory they may, try again later")]
+    NoMemory,
     /// The server stops.
     #[error("the server is shutting down")]
     ShuttingDown,
@@ -55,6 +58,7 @@ impl HttpError {
             Self::ForeignOrigin(_) => Refusal::Origin,
             Self::NoWebSocket(_) => Refusal::NoWebSocket,
             Self::Full(_) => Refusal::Full,
+            Self::NoMemory => Refusal::Memory,
             Self::ShuttingDown => Refusal::ShuttingDown,
             Self::Internal => Refusal::Internal,
         }
@@ -65,7 +69,7 @@ impl HttpError {
             Self::NoSuchPage(_) | Self::NoSuchModel(_) | Self::NoThumbnail(_) => StatusCode::NOT_FOUND,
             Self::ForeignOrigin(_) => StatusCode::FORBIDDEN,
             Self::NoWebSocket(_) => StatusCode::UPGRADE_REQUIRED,
-            Self::Full(_) | Self::ShuttingDown => StatusCode::SERVICE_UNAVAILABLE,
+            Self::Full(_) | Self::NoMemory | Self::ShuttingDown => StatusCode::SERVICE_UNAVAILABLE,
             Self::ModelUnusable(_) | Self::Internal => StatusCode::INTERNAL_SERVER_ERROR,
         }
     }

@@ -22,7 +22,7 @@ use axum::routing::get;
 pub use models::{ModelEntry, ModelStatus, Models, OpenError};
 pub use serve::{Drained, bind, serve};
 
-use crate::runtime::{Admission, DriverSettings, Metrics, PageReader, Pool, Shutdown, Workers};
+use crate::runtime::{Admission, DriverSettings, Memory, Metrics, PageReader, Pool, Shutdown, Workers};
 
 /// What bounds the server.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -33,6 +33,8 @@ pub struct Settings {
     pub max_connections: u32,
     /// Sessions open at once; more are refused.
     pub max_sessions: u32,
+    /// Memory that all sessions may hold, in bytes; more sessions are refused then.
+    pub max_session_bytes: u64,
     /// Threads that compute.
     pub compute_threads: NonZeroUsize,
     /// Threads that read pages.
@@ -71,7 +73,8 @@ impl App {
         // A session hands in one slice at a time, and a closing one may overlap with its successor.
         let pool = Pool::new(settings.compute_threads, 2 * settings.max_sessions as usize)?;
         let reader = PageReader::new(settings.reader_threads)?;
-        let workers = Workers { pool, reader, metrics: Arc::new(Metrics::new()) };
+        let memory = Memory::new(settings.max_session_bytes);
+        let workers = Workers { pool, reader, metrics: Arc::new(Metrics::new()), memory };
         let admission = Admission::new(settings.max_sessions);
         Ok(Arc::new(Self { models, workers, admission, shutdown, settings }))
     }

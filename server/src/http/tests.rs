@@ -28,6 +28,7 @@ const PATIENCE: Duration = Duration::from_secs(20);
 #[derive(Default)]
 struct Echo {
     frames: VecDeque<Vec<u8>>,
+    received: u64,
 }
 
 impl Core for Echo {
@@ -36,6 +37,7 @@ impl Core for Echo {
             b"panic" => panic!("expected in this test"),
             b"fail" => Err(SessionError::Peer("x".repeat(500), CloseCode::LimitTooSmall)),
             frame => {
+                self.received += 1;
                 self.frames.push_back(frame.to_vec());
                 Ok(())
             }
@@ -58,8 +60,10 @@ impl Core for Echo {
         Ok(())
     }
 
+    fn rest(&mut self) {}
+
     fn stats(&self) -> SessionStats {
-        SessionStats::default()
+        SessionStats { heap_bytes: 1000 * self.received, ..SessionStats::default() }
     }
 }
 
@@ -115,6 +119,7 @@ impl Server {
             allowed_origins: vec!["https://friend.example".into()],
             max_connections: 16,
             max_sessions: 4,
+            max_session_bytes: 1 << 30,
             compute_threads: NonZeroUsize::MIN,
             reader_threads: NonZeroUsize::MIN,
             header_timeout: PATIENCE,
@@ -228,6 +233,24 @@ async fn metrics_count_streams_by_how_they_went() {
             assert_eq!(printed, Some(line));
         }
     }
+}
+
+#[tokio::test]
+async fn when_sessions_hold_too_much_memory_new_ones_are_refused() {
+    // An echo says that it holds 1,000 bytes for each frame that it has received.
+    let server = Server::start(|settings| settings.max_session_bytes = 1500).await;
+    let mut socket = server.connect().await;
+    let mut second = server.connect().await;
+    assert_echoes(&mut socket).await;
+    let (status, text) = server.connect_from(None, "echo").await.unwrap_err();
+    assert_eq!(status, 503);
+    assert!(text.contains("memory"), "{text}");
+    let (_, metrics) = server.get("/metrics", "").await;
+    assert!(metrics.contains("lodestream_refused_total{reason=\"memory\"} 1"), "{metrics}");
+    assert_echoes(&mut second).await;
+    drop((socket, second));
+    server.app.admission.wait_empty().await;
+    assert_echoes(&mut server.connect().await).await;
 }
 
 #[tokio::test]

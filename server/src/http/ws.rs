@@ -66,6 +66,10 @@ async fn admit(
     if app.shutdown.is_triggered() {
         return Err(HttpError::ShuttingDown);
     }
+    if app.workers.memory.is_exhausted(app.workers.metrics.session_bytes()) {
+        tracing::warn!(model = id, "sessions hold all the memory they may");
+        return Err(HttpError::NoMemory);
+    }
     let admitted = app.admission.admit().inspect_err(|full| tracing::warn!(model = id, "{full}"))?;
     let opened = tokio::task::spawn_blocking({
         let (app, id) = (Arc::clone(app), id.to_owned());

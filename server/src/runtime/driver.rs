@@ -14,7 +14,7 @@ use tokio::time::{Instant, sleep_until};
 use super::metrics::Account;
 use super::pool::PoolError;
 use super::{Reading, Workers};
-use crate::session::{Session, SessionError, SessionStats, WantedPages};
+use crate::session::{Activity, Session, SessionError, SessionStats, WantedPages};
 
 /// A core that says "call me again" for a time gone by is called after this long, or it would keep a thread busy.
 const SHORTEST_WAIT: Duration = Duration::from_millis(1);
@@ -40,6 +40,8 @@ pub trait Core: Send + 'static {
     /// # Errors
     /// [`SessionError`] ends the session.
     fn handle_pages(&mut self) -> Result<(), SessionError>;
+    /// See [`Session::rest`].
+    fn rest(&mut self);
     /// See [`Session::stats`].
     fn stats(&self) -> SessionStats;
 }
@@ -63,6 +65,10 @@ impl Core for Session {
 
     fn handle_pages(&mut self) -> Result<(), SessionError> {
         self.handle_pages()
+    }
+
+    fn rest(&mut self) {
+        self.rest();
     }
 
     fn stats(&self) -> SessionStats {
@@ -223,6 +229,13 @@ impl Driver<'_> {
                     Ok(()) => self.handle_pages().await,
                     Err(lost) => Err(SessionEnd::Lost(lost)),
                 },
+                () = self.workers.memory.shortage(), if self.account.stats().activity == Activity::Settled => {
+                    self.slice(|core, _| {
+                        core.rest();
+                        Ok(())
+                    })
+                    .await
+                }
                 () = sleep_until(wake.unwrap_or(self.started)), if !self.wants_transmit && wake.is_some() => {
                     self.wants_transmit = true;
                     Ok(())
@@ -303,6 +316,8 @@ impl Driver<'_> {
             *time += took;
         }
         self.account.update(*stats);
+        // Those with nothing to do wait for this and rest.
+        let _ = self.workers.memory.is_short(self.account.metrics().session_bytes());
     }
 }
 
@@ -311,6 +326,82 @@ mod tests {
     use super::*;
     use crate::runtime::{PageReader, Pool};
     use std::num::NonZeroUsize;
+
+    /// A view that takes long slices without end, and counts them.
+    #[derive(Default)]
+    struct Huge(std::sync::Arc<std::sync::atomic::AtomicU64>);
+
+    impl Core for Huge {
+        fn handle_frame(&mut self, _: Timestamp, _: &[u8]) -> Result<(), SessionError> {
+            Ok(())
+        }
+
+        fn poll_transmit(&mut self, _: Timestamp) -> Result<Option<Vec<u8>>, SessionError> {
+            let end = std::time::Instant::now() + Duration::from_millis(2);
+            while std::time::Instant::now() < end {}
+            self.0.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+            Ok(Some(vec![0]))
+        }
+
+        fn poll_timeout(&self) -> Option<Timestamp> {
+            None
+        }
+
+        fn poll_wanted(&mut self) -> Option<WantedPages> {
+            None
+        }
+
+        fn handle_pages(&mut self) -> Result<(), SessionError> {
+            Ok(())
+        }
+
+        fn rest(&mut self) {}
+
+        fn stats(&self) -> SessionStats {
+            SessionStats::default()
+        }
+    }
+
+    #[tokio::test]
+    async fn many_small_sessions_are_served_between_the_slices_of_a_huge_one() {
+        let workers =
+            std::sync::Arc::new(Workers { pool: Pool::new(NonZeroUsize::MIN, 64).unwrap(), ..some_workers() });
+        let begin = |core: Box<dyn Core>| {
+            let workers = std::sync::Arc::clone(&workers);
+            let (frames, inbound) = mpsc::channel(4);
+            let (outbound, answers) = mpsc::channel(2);
+            tokio::spawn(async move {
+                drive(core, &workers, Duration::from_secs(20), inbound, outbound, std::future::pending()).await
+            });
+            (frames, answers)
+        };
+        let slices = std::sync::Arc::new(std::sync::atomic::AtomicU64::new(0));
+        let (huge, mut huge_answers) = begin(Box::new(Huge(slices.clone())));
+        huge.send(vec![0]).await.unwrap();
+        tokio::spawn(async move { while huge_answers.recv().await.is_some() {} });
+        let mut small: Vec<_> = (0..20).map(|_| begin(Box::new(Echo::default()))).collect();
+        for round in 0..5 {
+            let before = slices.load(std::sync::atomic::Ordering::Relaxed);
+            for (frames, _) in &small {
+                frames.send(vec![1]).await.unwrap();
+            }
+            for (_, answers) in &mut small {
+                assert_eq!(answers.recv().await.unwrap(), [0], "round {round}");
+            }
+            // A frame takes two slices, before each of which the huge one has a turn; and one may have begun before.
+            let turns = slices.load(std::sync::atomic::Ordering::Relaxed) - before;
+            assert!(turns <= 2 * 20 + 8, "{turns} slices of the huge session before all others had their answer");
+            for (_, answers) in &mut small {
+                assert_eq!(answers.recv().await.unwrap(), [99], "round {round}");
+            }
+        }
+        assert!(slices.load(std::sync::atomic::Ordering::Relaxed) > 5, "the huge session goes on too");
+        let waits = workers.metrics.render(Default::default());
+        assert!(
+            waits.lines().any(|line| line.starts_with("lodestream_queue_wait_seconds_count ") && !line.ends_with(" 0"))
+        );
+        drop(huge);
+    }
 
     /// Answers each frame with as many frames as its first byte says, and wakes itself once 50 ms after a frame.
     #[derive(Default)]
@@ -354,6 +445,8 @@ mod tests {
             Ok(())
         }
 
+        fn rest(&mut self) {}
+
         fn stats(&self) -> SessionStats {
             SessionStats { batches: self.sent, ..SessionStats::default() }
         }
@@ -367,9 +460,13 @@ mod tests {
     }
 
     fn workers() -> std::sync::Arc<Workers> {
+        std::sync::Arc::new(some_workers())
+    }
+
+    fn some_workers() -> Workers {
         let threads = NonZeroUsize::MIN;
         let (pool, reader) = (Pool::new(threads, 4).unwrap(), PageReader::new(threads).unwrap());
-        std::sync::Arc::new(Workers { pool, reader, metrics: Default::default() })
+        Workers { pool, reader, metrics: Default::default(), memory: crate::runtime::Memory::new(1000) }
     }
 
     fn start(hello_timeout: Duration, interrupted: impl Future<Output = SessionEnd> + Send + 'static) -> Session {

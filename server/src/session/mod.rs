@@ -56,6 +56,10 @@ const MIN_OPS: usize = 64;
 const BYTES_PER_SPAWNED_FACE: usize = 1;
 const BYTES_PER_SPAWNED_COLOR: usize = 3;
 
+/// Memory that a triangle is taken to cost a session: half a vertex, 88 bytes in the replica and 30 in the mirror and the plan,
+/// up to twice that while arenas grow, and a quarter of an entry of the cache.
+const BYTES_PER_TRIANGLE: u64 = 160;
+
 /// What a server decides for all its sessions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SessionConfig {
@@ -63,13 +67,28 @@ pub struct SessionConfig {
     pub max_cache_entries: u32,
     /// Most bytes that may be unacknowledged, whatever the link.
     pub max_window_bytes: u32,
+    /// Most memory that a session may hold by its own account. Views are served under a triangle limit that keeps an ordinary
+    /// mesh below it, see [`triangles`](Self::triangles); a session that passes it all the same ends.
+    pub max_bytes: u64,
     /// A session whose view has settled drops its mirror after so long without another one.
     pub rest_after: Duration,
 }
 
 impl Default for SessionConfig {
     fn default() -> Self {
-        Self { max_cache_entries: 1 << 17, max_window_bytes: 1 << 20, rest_after: Duration::from_secs(5) }
+        Self {
+            max_cache_entries: 1 << 17,
+            max_window_bytes: 1 << 20,
+            max_bytes: 2 << 30,
+            rest_after: Duration::from_secs(5),
+        }
+    }
+}
+
+impl SessionConfig {
+    /// Largest triangle limit that a session works under, whatever its client asks for.
+    pub fn triangles(&self) -> u32 {
+        u32::try_from(self.max_bytes / BYTES_PER_TRIANGLE).unwrap_or(u32::MAX)
     }
 }
 
@@ -272,7 +291,7 @@ impl Session {
             (ClientMessage::Hello(hello), None) => self.greet(now, hello),
             (ClientMessage::Hello(_), Some(_)) => Err(SessionError::malformed("a second hello")),
             (_, None) => Err(SessionError::malformed("the first message is not a hello")),
-            (ClientMessage::View { seq, view }, Some(running)) => {
+            (ClientMessage::View { seq, mut view }, Some(running)) => {
                 view.validate().map_err(|error| SessionError::malformed(error.to_string()))?;
                 let smallest = self.model.info().smallest_limit;
                 if view.triangle_limit < smallest {
@@ -282,6 +301,8 @@ impl Session {
                 if running.view.as_ref().is_some_and(|current| current.seq >= seq) {
                     return Err(SessionError::malformed("view numbers must increase"));
                 }
+                // Batches name the limit in force, and a view that settles under it says so.
+                view.triangle_limit = view.triangle_limit.min(self.config.triangles());
                 self.stats.views += 1;
                 running.view = Some(CurrentView { seq, view, received_at: now });
                 running.work = None;
@@ -320,7 +341,9 @@ impl Session {
             return Ok(Some(self.frame(&message)));
         }
         let Some(running) = &mut self.running else { return Ok(None) };
-        let Some(current) = &running.view else { return Ok(None) };
+        if running.view.is_none() {
+            return Ok(None);
+        }
         if let Some(settled_at) = running.settled_at {
             if running.mirror.is_some() && now >= settled_at + self.config.rest_after {
                 running.rest();
@@ -332,15 +355,16 @@ impl Session {
         if allowance == 0 {
             return Ok(None);
         }
-        let mirror = match (&mut running.mirror, &running.resting) {
-            (Some(mirror), _) => mirror,
-            (none, Some(resting)) => {
-                let woken = resting.wake(&self.model)?;
-                running.resting = None;
-                self.stats.wakes += 1;
-                none.insert(woken)
-            }
-            (None, None) => return Err(SessionError::Internal("a session has lost its mirror".into())),
+        if running.wake(&self.model)? {
+            self.stats.wakes += 1;
+        }
+        let held = running.heap_bytes() as u64;
+        if held > self.config.max_bytes {
+            let text = format!("the session takes {held} bytes, over this server's limit of {}", self.config.max_bytes);
+            return Err(SessionError::Peer(text, CloseCode::Full));
+        }
+        let (Some(mirror), Some(current)) = (&mut running.mirror, &running.view) else {
+            return Err(SessionError::Internal("a session has lost its mirror".into()));
         };
         if running.work.is_none() {
             running.work = Some(Work::new(&self.model, self.access, &current.view, mirror)?);
@@ -396,6 +420,19 @@ impl Session {
         }
     }
 
+    /// Rebuilds the mirror now, if the session rests. The next frame would do so itself; this is for measuring. O(ops x valence).
+    ///
+    /// # Errors
+    /// [`SessionError`] ends the session.
+    pub fn wake(&mut self) -> Result<(), SessionError> {
+        if let Some(running) = &mut self.running
+            && running.wake(&self.model)?
+        {
+            self.stats.wakes += 1;
+        }
+        Ok(())
+    }
+
     /// When to call [`poll_transmit`](Self::poll_transmit) again although no frame came in.
     pub fn poll_timeout(&self) -> Option<Timestamp> {
         let running = self.running.as_ref()?;
@@ -442,6 +479,13 @@ impl Session {
             return Err(SessionError::Peer(text, CloseCode::Version));
         }
         let info = self.model.info();
+        if self.config.triangles() < info.smallest_limit {
+            let text = format!(
+                "this model's base of {} triangles takes more memory than a session may hold on this server",
+                info.smallest_limit
+            );
+            return Err(SessionError::Peer(text, CloseCode::Full));
+        }
         // The paper's 5 % of the ops, a quarter of what the client will hold, whichever is smaller.
         let default = (self.model.op_count() / 20).min(hello.triangle_limit / 4);
         let cache_entries = hello.cache_entries.unwrap_or(default).min(self.config.max_cache_entries);
@@ -487,6 +531,14 @@ impl Running {
             (_, Some(_)) => Activity::Settled,
             (_, None) => Activity::Moving,
         }
+    }
+
+    /// Rebuilds the mirror if it was dropped; whether it was.
+    fn wake(&mut self, model: &PackedModel) -> Result<bool, MirrorError> {
+        let Some(resting) = &self.resting else { return Ok(false) };
+        self.mirror = Some(resting.wake(model)?);
+        self.resting = None;
+        Ok(true)
     }
 
     /// Drops the mirror, and with it the plan: a new view makes both anew.
