@@ -379,7 +379,7 @@ mod tests {
         let (huge, mut huge_answers) = begin(Box::new(Huge(slices.clone())));
         huge.send(vec![0]).await.unwrap();
         tokio::spawn(async move { while huge_answers.recv().await.is_some() {} });
-        let mut small: Vec<_> = (0..20).map(|_| begin(Box::new(Echo::default()))).collect();
+        let mut small: Vec<_> = (0..20).map(|_| begin(Box::<Echo>::default())).collect();
         for round in 0..5 {
             let before = slices.load(std::sync::atomic::Ordering::Relaxed);
             for (frames, _) in &small {

@@ -26,7 +26,7 @@ use lodestream_tests::source::Source;
 use serde_json::{Map, Value, json};
 
 /// Rows that can be measured, and what they are.
-const ROWS: [(u32, &str); 12] = [
+const ROWS: [(u32, &str); 13] = [
     (1, "bits per split, complete from cold"),
     (2, "bits per split, moving"),
     (3, "bits per cached split and per collapse"),
@@ -38,6 +38,7 @@ const ROWS: [(u32, &str); 12] = [
     (11, "time until the first image at 1 Mbit/s, 100 ms"),
     (13, "server, select + mirror + encode"),
     (16, "client, decode + apply"),
+    (18, "server memory, moving and at rest"),
     (22, "screen error over random views (takes minutes)"),
 ];
 /// Rows that have to be asked for.
@@ -82,6 +83,7 @@ fn measure(row: u32, subject: &Subject, options: &Options, report: &Report) -> a
         11 => live::first_image_time(subject, options, report),
         13 => in_process::server(subject, options, report),
         16 => in_process::client(subject, options, report),
+        18 => in_process::memory(subject, options, report),
         22 => in_process::calibration(subject, options, report),
         _ => bail!("row {row} cannot be measured here"),
     }
