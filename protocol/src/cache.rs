@@ -25,9 +25,20 @@ pub struct CachedSplit {
     pub cut_known: bool,
 }
 
+/// What a cached split hangs from, for [`SplitCache::rebuilt`].
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum CacheHolder {
+    /// The vertex in this slot.
+    Slot(VertexSlot),
+    /// The split with this place in the list, whose vertex it splits.
+    Entry(u32),
+}
+
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Entry {
     split: CachedSplit,
+    /// What the owner calls it, see [`SplitCache::label_newest`].
+    label: u32,
     /// Next entry below in the same stack.
     below: u32,
     /// What points at this entry: the entry above, or (for a top) `AT_SLOT | slot` or the entry it is nested in.
@@ -104,6 +115,7 @@ impl SplitCache {
         let below = self.tops[undo.s.index()];
         let entry = Entry {
             split: CachedSplit { vertex: undo.vertex, left: undo.left, right: undo.right, cut_known: true },
+            label: NONE,
             below,
             holder: AT_SLOT | undo.s.0,
             is_nested_top: false,
@@ -158,6 +170,73 @@ impl SplitCache {
         }
         self.unlink(index);
         Some(split)
+    }
+
+    /// Gives the entries pushed last these labels, the newest the last of them; labels in front of entries that were evicted
+    /// since mean nothing. A server calls entries by their op's number, so that it can [rebuild](Self::rebuilt) the cache.
+    pub fn label_newest(&mut self, labels: &[u32]) {
+        let mut index = self.newest;
+        for &label in labels.iter().rev() {
+            let Some(entry) = self.entries.get_mut(index as usize) else { return };
+            entry.label = label;
+            index = entry.older;
+        }
+    }
+
+    /// Labels of all entries, the oldest first.
+    pub fn labels(&self) -> impl Iterator<Item = u32> + '_ {
+        let first = self.entries.get(self.oldest as usize);
+        std::iter::successors(first, |entry| self.entries.get(entry.newer as usize)).map(|entry| entry.label)
+    }
+
+    /// The cache that holds these splits, the oldest first, without the cuts, as after [`forget_cuts`](Self::forget_cuts).
+    /// Each comes with its label and with what it hangs from: what is cached on one vertex or in one entry is a stack, the
+    /// newest on top. `None` if they are more than `capacity` or an entry is named that is not newer.
+    pub fn rebuilt(capacity: u32, splits: &[(u32, NewVertex, CacheHolder)]) -> Option<Self> {
+        let mut cache = Self::new(capacity);
+        let len = u32::try_from(splits.len()).ok().filter(|&len| len <= capacity)?;
+        cache.entries.reserve_exact(splits.len());
+        // Tops of what is nested in entries that are not there yet.
+        let mut nested = vec![NONE; splits.len()];
+        for (index, &(label, vertex, holder)) in (0..).zip(splits) {
+            let top = match holder {
+                CacheHolder::Slot(slot) => {
+                    if cache.tops.len() <= slot.index() {
+                        cache.tops.resize(slot.index() + 1, NONE);
+                    }
+                    &mut cache.tops[slot.index()]
+                }
+                CacheHolder::Entry(newer) => nested.get_mut(newer as usize).filter(|_| newer > index)?,
+            };
+            let below = std::mem::replace(top, index);
+            if below != NONE {
+                cache.entries[below as usize].holder = index;
+                cache.entries[below as usize].is_nested_top = false;
+            }
+            let inside = nested[index as usize];
+            if inside != NONE {
+                cache.entries[inside as usize].holder = index;
+            }
+            let none = VertexSlot::NONE;
+            let (holder, is_nested_top) = match holder {
+                CacheHolder::Slot(slot) => (AT_SLOT | slot.0, false),
+                CacheHolder::Entry(newer) => (newer, true),
+            };
+            cache.entries.push(Entry {
+                split: CachedSplit { vertex, left: none, right: none, cut_known: false },
+                label,
+                below,
+                holder,
+                is_nested_top,
+                nested: inside,
+                older: index.wrapping_sub(1),
+                newer: if index + 1 == len { NONE } else { index + 1 },
+            });
+        }
+        if len > 0 {
+            (cache.oldest, cache.newest, cache.len) = (0, len - 1, len);
+        }
+        Some(cache)
     }
 
     /// Drops what is cached on slots that a despawn frees.

@@ -162,11 +162,14 @@ pub enum CloseCode {
 }
 
 impl CloseCode {
-    /// The code with this number.
-    pub fn from_number(number: u16) -> Option<Self> {
+    /// All codes.
+    pub const ALL: [Self; 9] = {
         use CloseCode::*;
         [Normal, GoingAway, Malformed, Version, LimitTooSmall, Full, ModelDamaged, Internal, Timeout]
-            .into_iter()
-            .find(|code| *code as u16 == number)
+    };
+
+    /// The code with this number.
+    pub fn from_number(number: u16) -> Option<Self> {
+        Self::ALL.into_iter().find(|code| *code as u16 == number)
     }
 }

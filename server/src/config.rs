@@ -80,6 +80,9 @@ pub struct RuntimeSection {
     /// Sessions open at once; more are refused with status 503. A session takes memory in proportion to its client's mesh.
     /// Default 200.
     pub max_sessions: u32,
+    /// Bytes of memory that all sessions may hold together. From three quarters of it on, sessions whose view has settled rest
+    /// at once; from all of it on, new sessions are refused with status 503. Default 4294967296.
+    pub max_session_bytes: u64,
     /// Threads that choose and encode what is sent: a number, or `"auto"` for as many as the machine has cores. Default
     /// `"auto"`.
     pub compute_threads: Threads,
@@ -102,6 +105,7 @@ impl Default for RuntimeSection {
     fn default() -> Self {
         Self {
             max_sessions: 200,
+            max_session_bytes: 4 << 30,
             compute_threads: Threads::Auto,
             reader_threads: 2,
             io_threads: 2,
@@ -123,12 +127,18 @@ pub struct SessionSection {
     /// Most bytes under way to one client, whatever its link. More fills fat links with long round trips; all of it may be
     /// stale when the view changes. Default 1048576.
     pub max_window_bytes: u32,
+    /// Most bytes of memory that a session may hold. Triangle limits of views are lowered to a 160th of it; a session that
+    /// passes it all the same is closed with code 4003. Default 2147483648.
+    pub max_bytes: u64,
+    /// Seconds without a new view after which a session whose view has settled drops its mirror of the client's mesh: some 5 bytes
+    /// for each vertex instead of 100 stay, and the next view waits some milliseconds longer. Default 5.
+    pub rest_after_s: u32,
 }
 
 impl Default for SessionSection {
     fn default() -> Self {
         let SessionConfig { max_cache_entries, max_window_bytes, .. } = SessionConfig::default();
-        Self { max_cache_entries, max_window_bytes }
+        Self { max_cache_entries, max_window_bytes, max_bytes: SessionConfig::default().max_bytes, rest_after_s: 5 }
     }
 }
 
@@ -303,6 +313,9 @@ impl Config {
                 return refuse(key, "must be at least 1");
             }
         }
+        if runtime.max_session_bytes == 0 {
+            return refuse("runtime.max_session_bytes", "must be at least 1");
+        }
         if http.idle_timeout_s <= http.ping_interval_s {
             return refuse(
                 "http.idle_timeout_s",
@@ -336,6 +349,7 @@ impl Config {
             allowed_origins: http.allowed_origins.clone(),
             max_connections: http.max_connections,
             max_sessions: runtime.max_sessions,
+            max_session_bytes: runtime.max_session_bytes,
             compute_threads: runtime.compute_threads.number(),
             reader_threads: NonZeroUsize::new(runtime.reader_threads as usize).unwrap_or(NonZeroUsize::MIN),
             header_timeout: seconds(http.header_timeout_s),
@@ -357,7 +371,7 @@ impl Config {
     /// # Errors
     /// [`ConfigError::Value`] names the first key whose value makes no sense.
     pub fn session(&self) -> Result<SessionConfig, ConfigError> {
-        let SessionSection { max_cache_entries, max_window_bytes } = self.session;
+        let SessionSection { max_cache_entries, max_window_bytes, max_bytes, rest_after_s } = self.session;
         if max_cache_entries > MAX_CACHE_ENTRIES {
             return Err(ConfigError::Value {
                 key: "session.max_cache_entries",
@@ -367,7 +381,15 @@ impl Config {
         if max_window_bytes == 0 {
             return Err(ConfigError::Value { key: "session.max_window_bytes", reason: "must be at least 1".into() });
         }
-        Ok(SessionConfig { max_cache_entries, max_window_bytes })
+        if max_bytes == 0 {
+            return Err(ConfigError::Value { key: "session.max_bytes", reason: "must be at least 1".into() });
+        }
+        Ok(SessionConfig {
+            max_cache_entries,
+            max_window_bytes,
+            max_bytes,
+            rest_after: Duration::from_secs(rest_after_s.into()),
+        })
     }
 }
 

@@ -112,6 +112,56 @@ fn sessions_settle_on_what_the_view_asks_for() {
     }
 }
 
+/// A session that rests at random moments, in the middle of a view too, leads its client to the same meshes as one that never
+/// does: the sets of ops, the meshes that they define, and every digest on the way, which the client checks.
+#[test]
+fn a_session_that_rests_is_as_good_as_one_that_does_not() {
+    for (name, test) in every_model(Some(13)) {
+        let model = &test.model;
+        let mut wakes = 0;
+        for seed in 0..4 {
+            let mut rng = Rng::with_seed(300 + seed);
+            let mut config = PairConfig::default();
+            config.client.cache_entries = [None, Some(0), Some(20), Some(10_000)][seed as usize];
+            let mut pair = Pair::new(model.clone(), config);
+            let mut awake = Pair::new(model.clone(), config);
+            for step in 0..10 {
+                let view = random_view(&mut rng, model.info());
+                awake.look(view.clone());
+                pair.look(view.clone());
+                let what = format!("{name} seed {seed} step {step}");
+                if rng.bool() {
+                    // In the middle: after some of the batches.
+                    for _ in 0..rng.u32(0..4) {
+                        pair.step(Duration::from_millis(1));
+                    }
+                    pair.server.rest();
+                }
+                pair.settle();
+                awake.settle();
+                match rng.u8(0..3) {
+                    0 => pair.server.rest(),
+                    // By itself, after a while.
+                    1 => {
+                        pair.run(Duration::from_secs(6));
+                        assert!(pair.server.mirror().is_none(), "{what}");
+                    }
+                    _ => {}
+                }
+                awake.now = pair.now.max(awake.now);
+                let set = |pair: &Pair| pair.server.applied_ops().iter().map(|a| a.0).collect::<BTreeSet<u32>>();
+                assert_eq!(set(&pair), set(&awake), "{what}");
+                let mesh = |pair: &Pair| keyed(model, pair.client.replica().unwrap(), &pair.server.applied_ops());
+                assert_eq!(mesh(&pair), mesh(&awake), "{what}");
+            }
+            assert_eq!(pair.client.stats().resets, 0);
+            check_replica(pair.client.replica().unwrap()).unwrap_or_else(|e| panic!("{name} {seed}: {e}"));
+            wakes += pair.server.stats().wakes;
+        }
+        assert!(wakes > 4, "{name}: {wakes}");
+    }
+}
+
 /// Where pages are read ahead, they may arrive in any order and at any time: what settles is P* all the same, and the session
 /// never read a page itself, which `Pair` asserts after each of its calls.
 #[test]

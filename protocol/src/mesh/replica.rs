@@ -127,6 +127,8 @@ pub struct Replica {
     collapsible: SlotSet,
     spawns: BTreeMap<u32, Spawn>,
     spawned_ids: std::collections::BTreeSet<u32>,
+    /// Slots that the spawns have, for accounting.
+    spawned_slots: usize,
     base_slots: u32,
     base_faces: u32,
     triangles: u32,
@@ -159,6 +161,7 @@ impl Replica {
             collapsible: SlotSet::default(),
             spawns: BTreeMap::new(),
             spawned_ids: std::collections::BTreeSet::new(),
+            spawned_slots: 0,
             base_slots,
             base_faces: faces,
             triangles: 0,
@@ -382,11 +385,28 @@ impl Replica {
     /// # Errors
     /// [`ApplyError::BadCut`] or [`ApplyError::OutOfSlots`]; nothing has changed then.
     pub fn split(&mut self, s: VertexSlot, fan: &Fan, cut: Cut, vertex: &NewVertex) -> Result<VertexSlot, ApplyError> {
+        let t = VertexSlot(self.occupied.smallest_free());
+        self.split_into(s, t, fan, cut, vertex)
+    }
+
+    /// As [`split`](Self::split), into a slot that the caller names: for a server that builds a mesh anew whose slots it
+    /// knows. Ops may come in any order in which parents precede their children.
+    ///
+    /// # Errors
+    /// As [`split`](Self::split); [`ApplyError::OutOfSlots`] also where the slot is taken.
+    pub fn split_into(
+        &mut self,
+        s: VertexSlot,
+        t: VertexSlot,
+        fan: &Fan,
+        cut: Cut,
+        vertex: &NewVertex,
+    ) -> Result<VertexSlot, ApplyError> {
         if !fan.admits(cut) {
             return Err(ApplyError::BadCut { slot: s.0, faces: fan.faces(), cut });
         }
-        let t = self.occupied.smallest_free();
-        if t >= MAX_VERTEX_SLOTS {
+        let t = t.0;
+        if t >= MAX_VERTEX_SLOTS || self.occupied.contains(t) {
             return Err(ApplyError::OutOfSlots);
         }
         self.occupy(t);
@@ -548,14 +568,38 @@ impl Replica {
             self.occupy(slot);
             slots.push(slot);
         }
+        Ok(self.insert_spawn(id, patch, &twins, slots))
+    }
+
+    /// As [`spawn`](Self::spawn), into slots that the caller names, ascending and as many as the spawn reserves: see
+    /// [`split_into`](Self::split_into).
+    ///
+    /// # Errors
+    /// As [`spawn`](Self::spawn); [`ApplyError::OutOfSlots`] also where a slot is taken or their number is another.
+    pub fn spawn_into(&mut self, id: u32, patch: &Patch, slots: &[u32]) -> Result<VertexSlot, ApplyError> {
+        if self.spawned_ids.contains(&id) {
+            return Err(ApplyError::SpawnedTwice(id));
+        }
+        let twins = patch.validate()?;
+        let count = patch.positions.len().max(patch.faces.len().div_ceil(2));
+        let is_free = |&slot: &u32| slot < MAX_VERTEX_SLOTS && !self.occupied.contains(slot);
+        if count == 0 || slots.len() != count || !slots.is_sorted_by(|a, b| a < b) || !slots.iter().all(is_free) {
+            return Err(ApplyError::OutOfSlots);
+        }
+        slots.iter().for_each(|&slot| self.occupy(slot));
+        Ok(self.insert_spawn(id, patch, &twins, slots.to_vec()))
+    }
+
+    fn insert_spawn(&mut self, id: u32, patch: &Patch, twins: &[[u32; 3]], slots: Vec<u32>) -> VertexSlot {
         let address = slots[0];
-        self.insert_patch(patch, &twins, &slots, address);
+        self.insert_patch(patch, twins, &slots, address);
         self.collapsible.insert(address);
         self.references[address as usize] = 0;
         self.spawned_ids.insert(id);
+        self.spawned_slots += slots.len();
         let spawn = Spawn { id, slots: slots.into_boxed_slice(), faces: patch.faces.len() as u32 };
         self.spawns.insert(address, spawn);
-        Ok(VertexSlot(address))
+        VertexSlot(address)
     }
 
     /// Removes a spawned component and returns its number and the slots it had.
@@ -579,6 +623,7 @@ impl Replica {
         }
         self.collapsible.remove(address.0);
         self.spawned_ids.remove(&spawn.id);
+        self.spawned_slots -= spawn.slots.len();
         Ok((spawn.id, spawn.slots))
     }
 
@@ -596,7 +641,7 @@ impl Replica {
         }
     }
 
-    /// Bytes of memory held, for accounting.
+    /// Bytes of memory held, for accounting. O(1).
     pub fn heap_bytes(&self) -> usize {
         self.position.capacity() * 12
             + self.color.capacity() * 3
@@ -607,7 +652,8 @@ impl Replica {
             + self.occupied.heap_bytes()
             + self.vertices.heap_bytes()
             + self.collapsible.heap_bytes()
-            + self.spawns.values().map(|s| 64 + s.slots.len() * 4).sum::<usize>()
+            + self.spawns.len() * 64
+            + self.spawned_slots * 4
     }
 
     /// The digest from scratch, for tests.

@@ -73,6 +73,12 @@ impl Models {
         models.start_from(trained.priors);
         models
     }
+
+    /// All contexts, in the order of [`Trained::priors`].
+    fn for_each_context(&mut self, visit: &mut dyn FnMut(&mut Prob)) {
+        self.for_each(visit);
+        self.patch.for_each(visit);
+    }
 }
 
 /// Adaptive contexts of the gaps between members of a set.
@@ -194,8 +200,7 @@ impl OpState {
     /// Calls `visit` with each context of the coder, in the order of [`Trained::priors`].
     #[cfg(any(test, feature = "testing"))]
     pub(super) fn for_each_context(&mut self, visit: &mut dyn FnMut(&mut Prob)) {
-        self.models.for_each(visit);
-        self.models.patch.for_each(visit);
+        self.models.for_each_context(visit);
     }
 
     /// Bytes of memory held, for accounting.
@@ -605,6 +610,12 @@ impl<'a> BatchEncoder<'a> {
         Ok(more)
     }
 
+    /// Labels the splits that the round before has put into the cache, in order, without the despawns among them: see
+    /// [`SplitCache::label_newest`].
+    pub fn label_cached(&mut self, labels: &[u32]) {
+        self.rounds.state.cache.label_newest(labels);
+    }
+
     /// Slots that the next round may name, ascending.
     pub fn candidates(&self) -> impl Iterator<Item = u32> + '_ {
         self.rounds.candidates.iter().map(|&(slot, _)| slot)
@@ -817,6 +828,9 @@ pub fn encode_trace(trace: &BatchTrace, state: &mut OpState, limit: u32) -> Resu
     }
     Ok(encoder.finish())
 }
+
+mod rest;
+pub use rest::SavedContexts;
 
 #[cfg(any(test, feature = "testing"))]
 mod random;

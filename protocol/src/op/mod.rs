@@ -23,8 +23,8 @@ pub use batch::{decode_batch_stepwise, decode_batch_tallied, random_batch};
 pub use patch::decode_base_tallied;
 
 pub use batch::{
-    BatchEncoder, DecodeError, OpCounts, OpState, decode_batch, decode_batch_measured, decode_batch_traced,
-    encode_trace,
+    BatchEncoder, DecodeError, OpCounts, OpState, SavedContexts, decode_batch, decode_batch_measured,
+    decode_batch_traced, encode_trace,
 };
 pub use cut::CutFeatures;
 pub use geometry::{GeometryFeatures, SizeFeatures};

@@ -24,6 +24,16 @@ impl Prob {
         Self { fast: zero, slow: zero }
     }
 
+    /// Both estimates as one number.
+    pub(crate) const fn to_bits(self) -> u32 {
+        (self.fast as u32) << 16 | self.slow as u32
+    }
+
+    /// The inverse of [`to_bits`](Self::to_bits).
+    pub(crate) const fn from_bits(bits: u32) -> Self {
+        Self { fast: (bits >> 16) as u16, slow: bits as u16 }
+    }
+
     /// In `32 ..= 65504`.
     #[inline]
     pub(crate) fn zero(self) -> u32 {

@@ -8,6 +8,7 @@ use serde_json::json;
 
 use super::models::OpenError;
 use crate::runtime::Full;
+use crate::runtime::metrics::Refusal;
 
 /// How long a client should wait before it asks a full or stopping server again, in seconds.
 const RETRY_AFTER_S: &str = "5";
@@ -36,6 +37,9 @@ pub(super) enum HttpError {
     /// All sessions are in use.
     #[error(transparent)]
     Full(#[from] Full),
+    /// Sessions hold as much memory as they may.
+    #[error("the server is full: its sessions hold all the memory they may, try again later")]
+    NoMemory,
     /// The server stops.
     #[error("the server is shutting down")]
     ShuttingDown,
@@ -45,12 +49,27 @@ pub(super) enum HttpError {
 }
 
 impl HttpError {
+    /// Under which reason a refused stream is counted.
+    pub(super) fn refusal(&self) -> Refusal {
+        match self {
+            Self::NoSuchPage(_) | Self::NoSuchModel(_) | Self::NoThumbnail(_) | Self::ModelUnusable(_) => {
+                Refusal::Model
+            }
+            Self::ForeignOrigin(_) => Refusal::Origin,
+            Self::NoWebSocket(_) => Refusal::NoWebSocket,
+            Self::Full(_) => Refusal::Full,
+            Self::NoMemory => Refusal::Memory,
+            Self::ShuttingDown => Refusal::ShuttingDown,
+            Self::Internal => Refusal::Internal,
+        }
+    }
+
     fn status(&self) -> StatusCode {
         match self {
             Self::NoSuchPage(_) | Self::NoSuchModel(_) | Self::NoThumbnail(_) => StatusCode::NOT_FOUND,
             Self::ForeignOrigin(_) => StatusCode::FORBIDDEN,
             Self::NoWebSocket(_) => StatusCode::UPGRADE_REQUIRED,
-            Self::Full(_) | Self::ShuttingDown => StatusCode::SERVICE_UNAVAILABLE,
+            Self::Full(_) | Self::NoMemory | Self::ShuttingDown => StatusCode::SERVICE_UNAVAILABLE,
             Self::ModelUnusable(_) | Self::Internal => StatusCode::INTERNAL_SERVER_ERROR,
         }
     }

@@ -5,6 +5,7 @@
 mod catalogue;
 mod error;
 mod health;
+mod metrics;
 pub mod models;
 mod serve;
 #[cfg(test)]
@@ -21,7 +22,7 @@ use axum::routing::get;
 pub use models::{ModelEntry, ModelStatus, Models, OpenError};
 pub use serve::{Drained, bind, serve};
 
-use crate::runtime::{Admission, DriverSettings, PageReader, Pool, Shutdown, Workers};
+use crate::runtime::{Admission, DriverSettings, Memory, Metrics, PageReader, Pool, Shutdown, Workers};
 
 /// What bounds the server.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -32,6 +33,8 @@ pub struct Settings {
     pub max_connections: u32,
     /// Sessions open at once; more are refused.
     pub max_sessions: u32,
+    /// Memory that all sessions may hold, in bytes; more sessions are refused then.
+    pub max_session_bytes: u64,
     /// Threads that compute.
     pub compute_threads: NonZeroUsize,
     /// Threads that read pages.
@@ -69,7 +72,9 @@ impl App {
     pub fn new(models: Box<dyn Models>, settings: Settings, shutdown: Shutdown) -> std::io::Result<Arc<Self>> {
         // A session hands in one slice at a time, and a closing one may overlap with its successor.
         let pool = Pool::new(settings.compute_threads, 2 * settings.max_sessions as usize)?;
-        let workers = Workers { pool, reader: PageReader::new(settings.reader_threads)? };
+        let reader = PageReader::new(settings.reader_threads)?;
+        let memory = Memory::new(settings.max_session_bytes);
+        let workers = Workers { pool, reader, metrics: Arc::new(Metrics::new()), memory };
         let admission = Admission::new(settings.max_sessions);
         Ok(Arc::new(Self { models, workers, admission, shutdown, settings }))
     }
@@ -82,6 +87,7 @@ fn router(app: Arc<App>) -> Router {
         .route("/models/{id}", get(catalogue::model))
         .route("/models/{id}/stream", get(ws::stream))
         .route("/models/{id}/thumbnail", get(catalogue::thumbnail))
+        .route("/metrics", get(metrics::page))
         .route("/healthz", get(health::alive))
         .route("/readyz", get(health::ready))
         .fallback(error::no_such_page)

@@ -62,6 +62,9 @@ pub trait Models: Send + Sync + 'static {
     /// All models by id, ascending. Cheap: a snapshot held in memory.
     fn list(&self) -> Vec<ModelEntry>;
 
+    /// Models whose packs are open.
+    fn open_count(&self) -> usize;
+
     /// Starts a session on a model. May read from disk, so it is called where blocking is allowed.
     ///
     /// # Errors
@@ -130,6 +133,10 @@ impl Models for RepositoryModels {
             }
         };
         entries.into_iter().map(entry).collect()
+    }
+
+    fn open_count(&self) -> usize {
+        self.repository.open_count()
     }
 
     fn open(&self, id: &str) -> Result<Box<dyn Core>, OpenError> {

@@ -28,6 +28,7 @@ const PATIENCE: Duration = Duration::from_secs(20);
 #[derive(Default)]
 struct Echo {
     frames: VecDeque<Vec<u8>>,
+    received: u64,
 }
 
 impl Core for Echo {
@@ -36,6 +37,7 @@ impl Core for Echo {
             b"panic" => panic!("expected in this test"),
             b"fail" => Err(SessionError::Peer("x".repeat(500), CloseCode::LimitTooSmall)),
             frame => {
+                self.received += 1;
                 self.frames.push_back(frame.to_vec());
                 Ok(())
             }
@@ -58,8 +60,10 @@ impl Core for Echo {
         Ok(())
     }
 
+    fn rest(&mut self) {}
+
     fn stats(&self) -> SessionStats {
-        SessionStats::default()
+        SessionStats { heap_bytes: 1000 * self.received, ..SessionStats::default() }
     }
 }
 
@@ -78,6 +82,10 @@ impl Models for TestModels {
             thumbnail: (id == "echo").then(|| "/models/echo/thumbnail".into()),
         };
         vec![entry("damaged", "", ModelStatus::Quarantined), entry("echo", "A <b>title", ModelStatus::Ready)]
+    }
+
+    fn open_count(&self) -> usize {
+        1
     }
 
     fn open(&self, id: &str) -> Result<Box<dyn Core>, OpenError> {
@@ -111,6 +119,7 @@ impl Server {
             allowed_origins: vec!["https://friend.example".into()],
             max_connections: 16,
             max_sessions: 4,
+            max_session_bytes: 1 << 30,
             compute_threads: NonZeroUsize::MIN,
             reader_threads: NonZeroUsize::MIN,
             header_timeout: PATIENCE,
@@ -191,6 +200,57 @@ async fn assert_echoes(socket: &mut Socket) {
         };
         assert_eq!(answer, Message::binary(frame.to_vec()));
     }
+}
+
+#[tokio::test]
+async fn metrics_count_streams_by_how_they_went() {
+    let server = Server::start(|settings| settings.max_sessions = 1).await;
+    let mut socket = server.connect().await;
+    assert_echoes(&mut socket).await;
+    assert_eq!(server.connect_from(None, "echo").await.unwrap_err().0, 503);
+    say(&mut socket, b"fail").await;
+    assert_eq!(close_frame(&mut socket).await.0, CloseCode::LimitTooSmall as u16);
+    drop(socket);
+    server.app.admission.wait_empty().await;
+    let (status, text) = server.get("/metrics", "").await;
+    assert_eq!(status, 200);
+    assert!(text.contains("content-type: text/plain; version=0.0.4; charset=utf-8"), "{text}");
+    for line in [
+        "lodestream_admitted_total 1",
+        "lodestream_refused_total{reason=\"full\"} 1",
+        "lodestream_closed_total{code=\"limit_too_small\"} 1",
+        "lodestream_received_bytes_total 14",
+        "lodestream_queue_wait_seconds_bucket{le=\"+inf\"} 10",
+        "lodestream_sessions{state=\"moving\"} 0",
+        "lodestream_open_models 1",
+    ] {
+        let name = line.split(' ').next().unwrap();
+        let printed = text.lines().find(|line| line.split(' ').next() == Some(name));
+        if name.starts_with("lodestream_queue") {
+            // Frames in, frames out, and one more when there is nothing left: how many depends on how they meet.
+            assert!(printed.is_some_and(|line| !line.ends_with(" 0")), "{name} in\n{text}");
+        } else {
+            assert_eq!(printed, Some(line));
+        }
+    }
+}
+
+#[tokio::test]
+async fn when_sessions_hold_too_much_memory_new_ones_are_refused() {
+    // An echo says that it holds 1,000 bytes for each frame that it has received.
+    let server = Server::start(|settings| settings.max_session_bytes = 1500).await;
+    let mut socket = server.connect().await;
+    let mut second = server.connect().await;
+    assert_echoes(&mut socket).await;
+    let (status, text) = server.connect_from(None, "echo").await.unwrap_err();
+    assert_eq!(status, 503);
+    assert!(text.contains("memory"), "{text}");
+    let (_, metrics) = server.get("/metrics", "").await;
+    assert!(metrics.contains("lodestream_refused_total{reason=\"memory\"} 1"), "{metrics}");
+    assert_echoes(&mut second).await;
+    drop((socket, second));
+    server.app.admission.wait_empty().await;
+    assert_echoes(&mut server.connect().await).await;
 }
 
 #[tokio::test]

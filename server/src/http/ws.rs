@@ -41,7 +41,10 @@ pub(super) async fn stream(
 ) -> Response {
     let (upgrade, core, admitted) = match admit(&app, &id, &headers, upgrade).await {
         Ok(admission) => admission,
-        Err(error) => return error.respond(&headers),
+        Err(error) => {
+            app.workers.metrics.note_refused(error.refusal());
+            return error.respond(&headers);
+        }
     };
     let span = tracing::info_span!("session", number = admitted.number, model = id, %peer);
     upgrade
@@ -62,6 +65,10 @@ async fn admit(
     let upgrade = upgrade.map_err(|rejection| HttpError::NoWebSocket(rejection.body_text()))?;
     if app.shutdown.is_triggered() {
         return Err(HttpError::ShuttingDown);
+    }
+    if app.workers.memory.is_exhausted(app.workers.metrics.session_bytes()) {
+        tracing::warn!(model = id, "sessions hold all the memory they may");
+        return Err(HttpError::NoMemory);
     }
     let admitted = app.admission.admit().inspect_err(|full| tracing::warn!(model = id, "{full}"))?;
     let opened = tokio::task::spawn_blocking({
@@ -103,6 +110,7 @@ async fn run(socket: WebSocket, app: Arc<App>, core: Box<dyn Core>, admitted: Ad
     let (inbound, frames) = mpsc::channel(settings.driver.inbound_frames);
     let (answers, outbound) = mpsc::channel(settings.driver.outbound_frames);
     let (mut sink, mut stream) = socket.split();
+    app.workers.metrics.note_admitted();
     tracing::info!("session starts");
     let interrupted = async {
         tokio::select! {
@@ -113,6 +121,7 @@ async fn run(socket: WebSocket, app: Arc<App>, core: Box<dyn Core>, admitted: Ad
         }
     };
     let report = drive(core, &app.workers, settings.driver.hello_timeout, frames, answers, interrupted).await;
+    app.workers.metrics.note_closed(report.end.code());
     log_end(&report);
     close(sink, stream, &report.end, settings.close_timeout).await;
     drop(admitted);

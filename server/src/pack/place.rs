@@ -30,7 +30,7 @@ impl Place {
         slot_of: impl Fn(u32) -> Option<u32>,
         split: &SplitFields,
     ) -> Result<Option<Self>, PackError> {
-        let Some(s) = vertex(model, replica, &slot_of, split)? else { return Ok(None) };
+        let Some(s) = Self::vertex(model, replica, &slot_of, split)? else { return Ok(None) };
         let mut edges = [None; 2];
         for (edge, cut) in edges.iter_mut().zip([split.left, split.right]) {
             if cut != CutRef::None {
@@ -43,6 +43,28 @@ impl Place {
         Ok(Some(Self { s: VertexSlot(s), left: edges[0], right: edges[1] }))
     }
 
+    /// Slot of the vertex that is split, under the same conditions.
+    ///
+    /// # Errors
+    /// As [`find`](Self::find).
+    pub fn vertex(
+        model: &PackedModel,
+        replica: &Replica,
+        slot_of: impl Fn(u32) -> Option<u32>,
+        split: &SplitFields,
+    ) -> Result<Option<u32>, PackError> {
+        if split.tree_parent == NO_OP || split.tree_parent < model.spawn_count() {
+            return Ok(match model.root_vertex(split.s)? {
+                (None, vertex) => Some(vertex),
+                (Some(spawn), vertex) => slot_of(spawn)
+                    .and_then(|address| replica.spawn_slots(VertexSlot(address)))
+                    .and_then(|slots| slots.get(vertex as usize).copied()),
+            });
+        }
+        let Some(t) = slot_of(split.tree_parent) else { return Ok(None) };
+        Ok(if split.s == 1 { Some(t) } else { replica.split_from(VertexSlot(t)).map(|s| s.0) })
+    }
+
     /// The cut of `s`'s fan that opens the edges. O(valence).
     ///
     /// # Errors
@@ -50,25 +72,6 @@ impl Place {
     pub fn cut(&self, replica: &Replica, fan: &Fan) -> Result<Cut, CutError> {
         resolve_cut(replica, fan, self.s, self.left, self.right)
     }
-}
-
-/// Slot of the vertex that is split.
-fn vertex(
-    model: &PackedModel,
-    replica: &Replica,
-    slot_of: &impl Fn(u32) -> Option<u32>,
-    split: &SplitFields,
-) -> Result<Option<u32>, PackError> {
-    if split.tree_parent == NO_OP || split.tree_parent < model.spawn_count() {
-        return Ok(match model.root_vertex(split.s)? {
-            (None, vertex) => Some(vertex),
-            (Some(spawn), vertex) => slot_of(spawn)
-                .and_then(|address| replica.spawn_slots(VertexSlot(address)))
-                .and_then(|slots| slots.get(vertex as usize).copied()),
-        });
-    }
-    let Some(t) = slot_of(split.tree_parent) else { return Ok(None) };
-    Ok(if split.s == 1 { Some(t) } else { replica.split_from(VertexSlot(t)).map(|s| s.0) })
 }
 
 /// Where a cut edge is now.

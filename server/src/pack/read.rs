@@ -447,18 +447,6 @@ impl PackedModel {
         Ok(self.tree_parent(view, row)?.0)
     }
 
-    /// Triangles that a split adds: 1 or 2.
-    ///
-    /// # Errors
-    /// See [`PackedModel::bounds`].
-    #[inline]
-    pub fn split_triangles(&self, split: u32) -> Result<u32, PackError> {
-        let (view, row) = self.split_row(split)?;
-        let tags = view.tags(row).ok_or_else(changed)?;
-        let has_face = |shift: u32| u32::from(tags >> shift & 3 != tag::CUT_NONE);
-        Ok(has_face(0) + has_face(tag::RIGHT_SHIFT))
-    }
-
     /// Owners of the three references of a split without repeats: tree parent, left, right. Spawns count as ops.
     ///
     /// # Errors

@@ -129,6 +129,11 @@ impl Repository {
         result
     }
 
+    /// Models whose packs are open now.
+    pub fn open_count(&self) -> usize {
+        self.lock().len()
+    }
+
     /// The directory itself.
     pub fn directory(&self) -> &Path {
         self.store.directory()

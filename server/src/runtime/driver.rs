@@ -11,9 +11,10 @@ use lodestream_protocol::time::Timestamp;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep_until};
 
+use super::metrics::Account;
 use super::pool::PoolError;
 use super::{Reading, Workers};
-use crate::session::{Session, SessionError, SessionStats, WantedPages};
+use crate::session::{Activity, Session, SessionError, SessionStats, WantedPages};
 
 /// A core that says "call me again" for a time gone by is called after this long, or it would keep a thread busy.
 const SHORTEST_WAIT: Duration = Duration::from_millis(1);
@@ -39,6 +40,8 @@ pub trait Core: Send + 'static {
     /// # Errors
     /// [`SessionError`] ends the session.
     fn handle_pages(&mut self) -> Result<(), SessionError>;
+    /// See [`Session::rest`].
+    fn rest(&mut self);
     /// See [`Session::stats`].
     fn stats(&self) -> SessionStats;
 }
@@ -62,6 +65,10 @@ impl Core for Session {
 
     fn handle_pages(&mut self) -> Result<(), SessionError> {
         self.handle_pages()
+    }
+
+    fn rest(&mut self) {
+        self.rest();
     }
 
     fn stats(&self) -> SessionStats {
@@ -150,6 +157,8 @@ pub async fn drive(
         started: Instant::now(),
         wake: None,
         wants_transmit: false,
+        account: Account::new(std::sync::Arc::clone(&workers.metrics)),
+        view_time: None,
     };
     let end = tokio::select! {
         biased;
@@ -172,6 +181,20 @@ struct Driver<'a> {
     /// When to ask for a frame again although none came in.
     wake: Option<Instant>,
     wants_transmit: bool,
+    account: Account,
+    /// Compute time since the newest view came, until there is a frame for it.
+    view_time: Option<Duration>,
+}
+
+/// What a slice gives back.
+struct Done<T> {
+    core: Box<dyn Core>,
+    result: Result<T, SessionError>,
+    timeout: Option<Timestamp>,
+    wanted: Option<WantedPages>,
+    stats: SessionStats,
+    waited: Duration,
+    took: Duration,
 }
 
 impl Driver<'_> {
@@ -206,6 +229,13 @@ impl Driver<'_> {
                     Ok(()) => self.handle_pages().await,
                     Err(lost) => Err(SessionEnd::Lost(lost)),
                 },
+                () = self.workers.memory.shortage(), if self.account.stats().activity == Activity::Settled => {
+                    self.slice(|core, _| {
+                        core.rest();
+                        Ok(())
+                    })
+                    .await
+                }
                 () = sleep_until(wake.unwrap_or(self.started)), if !self.wants_transmit && wake.is_some() => {
                     self.wants_transmit = true;
                     Ok(())
@@ -218,6 +248,7 @@ impl Driver<'_> {
     }
 
     async fn handle(&mut self, frame: Vec<u8>) -> Result<(), SessionEnd> {
+        self.account.metrics().note_received(frame.len());
         self.slice(move |core, now| core.handle_frame(now, &frame)).await?;
         self.wants_transmit = true;
         Ok(())
@@ -231,7 +262,12 @@ impl Driver<'_> {
 
     async fn transmit(&mut self, room: mpsc::Permit<'_, Vec<u8>>) -> Result<(), SessionEnd> {
         match self.slice(|core, now| core.poll_transmit(now)).await? {
-            Some(frame) => room.send(frame),
+            Some(frame) => {
+                if let Some(time) = self.view_time.take() {
+                    self.account.metrics().note_view_time(time);
+                }
+                room.send(frame);
+            }
             None => self.wants_transmit = false,
         }
         Ok(())
@@ -243,23 +279,45 @@ impl Driver<'_> {
         call: impl FnOnce(&mut dyn Core, Timestamp) -> Result<T, SessionError> + Send + 'static,
     ) -> Result<T, SessionEnd> {
         let mut core = self.core.take().expect("a session runs one slice at a time");
-        let started = self.started;
-        let (core, result, timeout, wanted) = self
+        let (started, handed_in) = (self.started, std::time::Instant::now());
+        let done = self
             .workers
             .pool
             .run(move || {
+                let began = std::time::Instant::now();
                 let result = call(core.as_mut(), Timestamp(started.elapsed()));
-                let (timeout, wanted) = (core.poll_timeout(), core.poll_wanted());
-                (core, result, timeout, wanted)
+                let (timeout, wanted, stats) = (core.poll_timeout(), core.poll_wanted(), core.stats());
+                let waited = began.duration_since(handed_in);
+                Done { core, result, timeout, wanted, stats, waited, took: began.elapsed() }
             })
             .await
             .map_err(SessionEnd::Lost)?;
-        self.core = Some(core);
-        if let Some(wanted) = wanted {
+        self.core = Some(done.core);
+        if let Some(wanted) = done.wanted {
             self.reading.want(wanted);
         }
-        self.wake = timeout.map(|at| (self.started + at.0).max(Instant::now() + SHORTEST_WAIT));
-        Ok(result?)
+        self.wake = done.timeout.map(|at| (self.started + at.0).max(Instant::now() + SHORTEST_WAIT));
+        self.count(&done.stats, done.waited, done.took);
+        Ok(done.result?)
+    }
+
+    /// Adds a slice to the metrics.
+    fn count(&mut self, stats: &SessionStats, waited: Duration, took: Duration) {
+        let metrics = self.account.metrics();
+        metrics.note_queue_wait(waited);
+        let before = self.account.stats();
+        if stats.batches > before.batches {
+            metrics.note_batch_time(took);
+        }
+        if stats.views > before.views {
+            self.view_time = Some(Duration::ZERO);
+        }
+        if let Some(time) = &mut self.view_time {
+            *time += took;
+        }
+        self.account.update(*stats);
+        // Those with nothing to do wait for this and rest.
+        let _ = self.workers.memory.is_short(self.account.metrics().session_bytes());
     }
 }
 
@@ -268,6 +326,82 @@ mod tests {
     use super::*;
     use crate::runtime::{PageReader, Pool};
     use std::num::NonZeroUsize;
+
+    /// A view that takes long slices without end, and counts them.
+    #[derive(Default)]
+    struct Huge(std::sync::Arc<std::sync::atomic::AtomicU64>);
+
+    impl Core for Huge {
+        fn handle_frame(&mut self, _: Timestamp, _: &[u8]) -> Result<(), SessionError> {
+            Ok(())
+        }
+
+        fn poll_transmit(&mut self, _: Timestamp) -> Result<Option<Vec<u8>>, SessionError> {
+            let end = std::time::Instant::now() + Duration::from_millis(2);
+            while std::time::Instant::now() < end {}
+            self.0.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+            Ok(Some(vec![0]))
+        }
+
+        fn poll_timeout(&self) -> Option<Timestamp> {
+            None
+        }
+
+        fn poll_wanted(&mut self) -> Option<WantedPages> {
+            None
+        }
+
+        fn handle_pages(&mut self) -> Result<(), SessionError> {
+            Ok(())
+        }
+
+        fn rest(&mut self) {}
+
+        fn stats(&self) -> SessionStats {
+            SessionStats::default()
+        }
+    }
+
+    #[tokio::test]
+    async fn many_small_sessions_are_served_between_the_slices_of_a_huge_one() {
+        let workers =
+            std::sync::Arc::new(Workers { pool: Pool::new(NonZeroUsize::MIN, 64).unwrap(), ..some_workers() });
+        let begin = |core: Box<dyn Core>| {
+            let workers = std::sync::Arc::clone(&workers);
+            let (frames, inbound) = mpsc::channel(4);
+            let (outbound, answers) = mpsc::channel(2);
+            tokio::spawn(async move {
+                drive(core, &workers, Duration::from_secs(20), inbound, outbound, std::future::pending()).await
+            });
+            (frames, answers)
+        };
+        let slices = std::sync::Arc::new(std::sync::atomic::AtomicU64::new(0));
+        let (huge, mut huge_answers) = begin(Box::new(Huge(slices.clone())));
+        huge.send(vec![0]).await.unwrap();
+        tokio::spawn(async move { while huge_answers.recv().await.is_some() {} });
+        let mut small: Vec<_> = (0..20).map(|_| begin(Box::<Echo>::default())).collect();
+        for round in 0..5 {
+            let before = slices.load(std::sync::atomic::Ordering::Relaxed);
+            for (frames, _) in &small {
+                frames.send(vec![1]).await.unwrap();
+            }
+            for (_, answers) in &mut small {
+                assert_eq!(answers.recv().await.unwrap(), [0], "round {round}");
+            }
+            // A frame takes two slices, before each of which the huge one has a turn; and one may have begun before.
+            let turns = slices.load(std::sync::atomic::Ordering::Relaxed) - before;
+            assert!(turns <= 2 * 20 + 8, "{turns} slices of the huge session before all others had their answer");
+            for (_, answers) in &mut small {
+                assert_eq!(answers.recv().await.unwrap(), [99], "round {round}");
+            }
+        }
+        assert!(slices.load(std::sync::atomic::Ordering::Relaxed) > 5, "the huge session goes on too");
+        let waits = workers.metrics.render(Default::default());
+        assert!(
+            waits.lines().any(|line| line.starts_with("lodestream_queue_wait_seconds_count ") && !line.ends_with(" 0"))
+        );
+        drop(huge);
+    }
 
     /// Answers each frame with as many frames as its first byte says, and wakes itself once 50 ms after a frame.
     #[derive(Default)]
@@ -311,6 +445,8 @@ mod tests {
             Ok(())
         }
 
+        fn rest(&mut self) {}
+
         fn stats(&self) -> SessionStats {
             SessionStats { batches: self.sent, ..SessionStats::default() }
         }
@@ -324,8 +460,13 @@ mod tests {
     }
 
     fn workers() -> std::sync::Arc<Workers> {
+        std::sync::Arc::new(some_workers())
+    }
+
+    fn some_workers() -> Workers {
         let threads = NonZeroUsize::MIN;
-        std::sync::Arc::new(Workers { pool: Pool::new(threads, 4).unwrap(), reader: PageReader::new(threads).unwrap() })
+        let (pool, reader) = (Pool::new(threads, 4).unwrap(), PageReader::new(threads).unwrap());
+        Workers { pool, reader, metrics: Default::default(), memory: crate::runtime::Memory::new(1000) }
     }
 
     fn start(hello_timeout: Duration, interrupted: impl Future<Output = SessionEnd> + Send + 'static) -> Session {

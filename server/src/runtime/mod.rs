@@ -4,12 +4,16 @@
 
 pub mod admission;
 pub mod driver;
+pub mod memory;
+pub mod metrics;
 pub mod pool;
 pub mod reader;
 pub mod shutdown;
 
 pub use admission::{Admission, Admitted, Full};
 pub use driver::{Core, DriverSettings, SessionEnd, SessionReport, drive};
+pub use memory::Memory;
+pub use metrics::Metrics;
 pub use pool::{Pool, PoolError};
 pub use reader::{PageReader, Reading};
 pub use shutdown::Shutdown;
@@ -21,6 +25,10 @@ pub struct Workers {
     pub pool: Pool,
     /// They read.
     pub reader: PageReader,
+    /// What sessions add to.
+    pub metrics: std::sync::Arc<Metrics>,
+    /// What they may hold.
+    pub memory: Memory,
 }
 
 /// Runs `future` to its end on `io_threads` threads that serve sockets and timers, and stops whatever else they ran.

@@ -45,12 +45,14 @@ const MAX_FREED: u32 = 8192;
 /// Replica, cache and contexts as the client has them, and the ops behind the slots.
 #[derive(Debug)]
 pub(crate) struct Mirror {
-    state: OpState,
+    pub(super) state: OpState,
     /// Op whose address a slot is, or `NO_OP`.
     op_at: Vec<u32>,
     /// Address of each applied op. While a batch is being made, also the round of each split that is still to come, marked as
     /// [`PENDING`].
     slot_of: OpMap<u32>,
+    /// Whether the next batch makes both ends forget the cuts in their caches.
+    forgets_cuts: bool,
 }
 
 /// Above all addresses.
@@ -62,7 +64,15 @@ impl Mirror {
         let info = model.info();
         let state = OpState::new(model.base(), info.lattice.bits, info.has_colors, info.has_moves, cache_entries)
             .map_err(|error| PackError::Damaged { section: "base", reason: error.to_string() })?;
-        Ok(Self { state, op_at: Vec::new(), slot_of: OpMap::default() })
+        Ok(Self { state, op_at: Vec::new(), slot_of: OpMap::default(), forgets_cuts: false })
+    }
+
+    /// Takes up the ops of a mesh that was built anew, without what its cache knew about cuts.
+    pub(super) fn take_ops(&mut self, slot_of: OpMap<u32>) {
+        self.op_at = vec![NO_OP; self.replica().slot_end() as usize];
+        slot_of.iter().for_each(|(&op, &slot)| self.op_at[slot as usize] = op);
+        self.slot_of = slot_of;
+        self.forgets_cuts = true;
     }
 
     pub(crate) fn replica(&self) -> &Replica {
@@ -94,12 +104,12 @@ impl Mirror {
         model: &PackedModel,
         plan: &mut BatchPlan<'_>,
     ) -> Result<(Vec<u8>, OpCounts, usize), MirrorError> {
-        let Self { state, op_at, slot_of } = self;
+        let Self { state, op_at, slot_of, forgets_cuts } = self;
         let triangles = |&op: &u32| model.triangles_of(op);
         let added: Vec<u32> = plan.ops.iter().map(triangles).collect::<Result<_, _>>()?;
         let needed = added.iter().fold(state.replica().triangle_count(), |sum, &n| sum.saturating_add(n));
         let to_free = needed.saturating_sub(plan.limit).min(MAX_FREED);
-        let mut encoder = BatchEncoder::new(state, false);
+        let mut encoder = BatchEncoder::new(state, std::mem::take(forgets_cuts));
         collapse(&mut encoder, plan, to_free, op_at, slot_of)?;
         let mut room = plan.limit.saturating_sub(encoder.replica().triangle_count());
         let fitting = added
@@ -128,6 +138,8 @@ fn collapse(
     let target = encoder.replica().triangle_count().saturating_sub(to_free);
     let mut spare = plan.spare_collapses;
     let mut members: Vec<u32> = Vec::new();
+    // The cache is kept as op ids while the session rests.
+    let mut labels: Vec<u32> = Vec::new();
     let mut is_first = true;
     loop {
         members.clear();
@@ -154,13 +166,20 @@ fn collapse(
             encoder.candidates().filter(|&slot| plan.stale.contains(slot)).all(&mut consider);
         }
         is_first = false;
+        labels.clear();
         for &slot in &members {
+            let is_spawn = encoder.replica().is_spawn(VertexSlot(slot));
             let op = std::mem::replace(&mut op_at[slot as usize], NO_OP);
             slot_of.remove(&op);
+            if !is_spawn {
+                labels.push(op);
+            }
             plan.stale.remove(slot);
             plan.reluctant.remove(slot);
         }
-        if !encoder.collapse_round(&members)? {
+        let goes_on = encoder.collapse_round(&members)?;
+        encoder.label_cached(&labels);
+        if !goes_on {
             return Ok(());
         }
     }

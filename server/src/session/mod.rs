@@ -8,6 +8,8 @@
 //! names those it needs, whoever may wait for the disk reads them, and [`Session::handle_pages`] is told. Until then the ops of
 //! such pages are as if they did not exist yet, and the view does not settle.
 //!
+//! A session whose view has settled rests after a while: the mirror goes, and comes back with the next view (`rest`).
+//!
 //! `score` judges one op for a view, `select` finds the set of ops that a view asks for, `mirror` keeps the client's state
 //! and encodes, `pacer` says how much may be on its way.
 
@@ -16,6 +18,7 @@ mod goal;
 mod mirror;
 mod order;
 mod pacer;
+mod rest;
 pub mod score;
 mod select;
 #[cfg(test)]
@@ -38,6 +41,7 @@ use lodestream_protocol::wire;
 use self::goal::{Aim, Goal};
 use self::mirror::{BatchPlan, Mirror, MirrorError};
 use self::pacer::Pacer;
+use self::rest::Resting;
 use self::select::PageAccess;
 pub use self::select::{ops_by_error, ops_for_view};
 use crate::pack::{PackError, PackedModel, PageId};
@@ -54,6 +58,10 @@ const MIN_OPS: usize = 64;
 const BYTES_PER_SPAWNED_FACE: usize = 1;
 const BYTES_PER_SPAWNED_COLOR: usize = 3;
 
+/// Memory that a triangle is taken to cost a session: half a vertex, 88 bytes in the replica and 30 in the mirror and the plan,
+/// up to twice that while arenas grow, and a quarter of an entry of the cache.
+const BYTES_PER_TRIANGLE: u64 = 160;
+
 /// What a server decides for all its sessions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SessionConfig {
@@ -61,11 +69,28 @@ pub struct SessionConfig {
     pub max_cache_entries: u32,
     /// Most bytes that may be unacknowledged, whatever the link.
     pub max_window_bytes: u32,
+    /// Most memory that a session may hold by its own account. Views are served under a triangle limit that keeps an ordinary
+    /// mesh below it, see [`triangles`](Self::triangles); a session that passes it all the same ends.
+    pub max_bytes: u64,
+    /// A session whose view has settled drops its mirror after so long without another one.
+    pub rest_after: Duration,
 }
 
 impl Default for SessionConfig {
     fn default() -> Self {
-        Self { max_cache_entries: 1 << 17, max_window_bytes: 1 << 20 }
+        Self {
+            max_cache_entries: 1 << 17,
+            max_window_bytes: 1 << 20,
+            max_bytes: 2 << 30,
+            rest_after: Duration::from_secs(5),
+        }
+    }
+}
+
+impl SessionConfig {
+    /// Largest triangle limit that a session works under, whatever its client asks for.
+    pub fn triangles(&self) -> u32 {
+        u32::try_from(self.max_bytes / BYTES_PER_TRIANGLE).unwrap_or(u32::MAX)
     }
 }
 
@@ -108,6 +133,18 @@ impl From<MirrorError> for SessionError {
     }
 }
 
+/// What a session does.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Activity {
+    /// Something is still to be sent for the newest view, or there is none yet.
+    #[default]
+    Moving,
+    /// Nothing is to be sent until the view changes.
+    Settled,
+    /// Likewise for a while: the mirror was dropped and comes back with the next view.
+    Resting,
+}
+
 /// Totals of a session, for metrics and logs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SessionStats {
@@ -121,14 +158,22 @@ pub struct SessionStats {
     pub cached_splits: u64,
     /// Edge collapses.
     pub collapses: u64,
-    /// Components inserted and removed.
+    /// Components inserted.
     pub spawns: u64,
+    /// Components removed.
+    pub despawns: u64,
     /// Resets that the client asked for.
     pub resets: u64,
     /// Views received.
     pub views: u64,
+    /// Mirrors dropped because the session was at rest, and mirrors rebuilt.
+    pub rests: u64,
+    /// See `rests`.
+    pub wakes: u64,
     /// Memory held now.
     pub heap_bytes: u64,
+    /// What it does now.
+    pub activity: Activity,
 }
 
 /// Pages that a session needs.
@@ -156,7 +201,12 @@ pub struct Session {
 #[derive(Debug)]
 struct Running {
     cache_entries: u32,
-    mirror: Mirror,
+    /// `None` while the session rests.
+    mirror: Option<Mirror>,
+    /// What comes back as the mirror.
+    resting: Option<Box<Resting>>,
+    /// Since when nothing is left to do for the view, if so.
+    settled_at: Option<Timestamp>,
     goal: Goal,
     pacer: Pacer,
     last_seq: BatchSeq,
@@ -190,7 +240,6 @@ struct Work {
     missing: Vec<PageId>,
     /// Whether [`Session::poll_wanted`] has named them.
     is_announced: bool,
-    has_settled: bool,
 }
 
 impl Session {
@@ -245,7 +294,7 @@ impl Session {
             (ClientMessage::Hello(hello), None) => self.greet(now, hello),
             (ClientMessage::Hello(_), Some(_)) => Err(SessionError::malformed("a second hello")),
             (_, None) => Err(SessionError::malformed("the first message is not a hello")),
-            (ClientMessage::View { seq, view }, Some(running)) => {
+            (ClientMessage::View { seq, mut view }, Some(running)) => {
                 view.validate().map_err(|error| SessionError::malformed(error.to_string()))?;
                 let smallest = self.model.info().smallest_limit;
                 if view.triangle_limit < smallest {
@@ -255,9 +304,12 @@ impl Session {
                 if running.view.as_ref().is_some_and(|current| current.seq >= seq) {
                     return Err(SessionError::malformed("view numbers must increase"));
                 }
+                // Batches name the limit in force, and a view that settles under it says so.
+                view.triangle_limit = view.triangle_limit.min(self.config.triangles());
                 self.stats.views += 1;
                 running.view = Some(CurrentView { seq, view, received_at: now });
                 running.work = None;
+                running.settled_at = None;
                 Ok(())
             }
             (ClientMessage::Ack { seq }, Some(running)) => {
@@ -269,7 +321,9 @@ impl Session {
             }
             (ClientMessage::Reset { .. }, Some(running)) => {
                 self.stats.resets += 1;
-                running.mirror = Mirror::new(&self.model, running.cache_entries)?;
+                running.mirror = Some(Mirror::new(&self.model, running.cache_entries)?);
+                running.resting = None;
+                running.settled_at = None;
                 running.goal.restart();
                 running.pacer.restart(now);
                 running.last_seq = BatchSeq(0);
@@ -291,33 +345,52 @@ impl Session {
             return Ok(Some(self.frame(&message)));
         }
         let Some(running) = &mut self.running else { return Ok(None) };
-        let Some(current) = &running.view else { return Ok(None) };
+        if running.view.is_none() {
+            return Ok(None);
+        }
+        if let Some(settled_at) = running.settled_at {
+            if running.mirror.is_some() && now >= settled_at + self.config.rest_after {
+                running.rest();
+                self.stats.rests += 1;
+            }
+            return Ok(None);
+        }
         let allowance = running.pacer.allowance(now);
         if allowance == 0 {
             return Ok(None);
         }
+        if running.wake(&self.model)? {
+            self.stats.wakes += 1;
+        }
+        let held = running.heap_bytes() as u64;
+        if held > self.config.max_bytes {
+            let text = format!("the session takes {held} bytes, over this server's limit of {}", self.config.max_bytes);
+            return Err(SessionError::Peer(text, CloseCode::Full));
+        }
+        let (Some(mirror), Some(current)) = (&mut running.mirror, &running.view) else {
+            return Err(SessionError::Internal("a session has lost its mirror".into()));
+        };
         if running.work.is_none() {
-            let aim = running.goal.aim(&self.model, self.access, &current.view, &running.mirror)?;
-            running.work = Some(Work::new(self.access, aim, &running.mirror));
+            let aim = running.goal.aim(&self.model, self.access, &current.view, mirror)?;
+            running.work = Some(Work::new(self.access, aim, mirror));
         }
         let work = running.work.as_mut().expect("made above");
-        if work.has_settled {
-            return Ok(None);
-        }
         if now.since(current.received_at) >= HYSTERESIS && work.missing.is_empty() {
             work.reluctant = SlotSet::default();
         }
-        if let Some(mut plan) = work.next_batch(&self.model, &running.mirror, current.view.triangle_limit, allowance)? {
-            let (ops, counts, applied) = running.mirror.batch(&self.model, &mut plan)?;
+        if let Some(mut plan) = work.next_batch(&self.model, mirror, current.view.triangle_limit, allowance)? {
+            let (ops, counts, applied) = mirror.batch(&self.model, &mut plan)?;
             work.next += applied;
             running.last_seq.0 += 1;
             self.stats.batches += 1;
             self.stats.splits += u64::from(counts.splits);
             self.stats.cached_splits += u64::from(counts.cached_splits);
             self.stats.collapses += u64::from(counts.collapses);
-            self.stats.spawns += u64::from(counts.spawns + counts.despawns);
+            self.stats.spawns += u64::from(counts.spawns);
+            self.stats.despawns += u64::from(counts.despawns);
             let seq = running.last_seq;
-            work.has_settled = work.is_done();
+            let has_settled = work.is_done();
+            running.settled_at = has_settled.then_some(now);
             let in_force = (current.view.triangle_limit, work.lambda);
             let before = running.told.replace(in_force);
             let message = ServerMessage::Batch(Batch {
@@ -325,8 +398,8 @@ impl Session {
                 view: current.seq.low(),
                 limit: before.is_none_or(|told| told.0 != in_force.0).then_some(in_force.0),
                 lambda_px: before.is_none_or(|told| told.1 != in_force.1).then_some(in_force.1),
-                digest: running.mirror.replica().digest() as u32,
-                outcome: work.has_settled.then_some(work.outcome()),
+                digest: mirror.replica().digest() as u32,
+                outcome: has_settled.then_some(work.outcome()),
                 ops,
             });
             let frame = wire::encode_server(&message);
@@ -337,18 +410,43 @@ impl Session {
         if !work.is_done() {
             return Ok(None);
         }
-        work.has_settled = true;
+        running.settled_at = Some(now);
         let message =
             ServerMessage::Settled(Settled { view: current.seq, seq: running.last_seq, outcome: work.outcome() });
         Ok(Some(self.frame(&message)))
+    }
+
+    /// Drops the mirror now, whatever is left to do: it is rebuilt when the next frame is to be made. For a client that has gone
+    /// away, and where memory runs short. O(ops).
+    pub fn rest(&mut self) {
+        if let Some(running) = self.running.as_mut().filter(|running| running.mirror.is_some()) {
+            running.rest();
+            self.stats.rests += 1;
+        }
+    }
+
+    /// Rebuilds the mirror now, if the session rests. The next frame would do so itself; this is for measuring. O(ops x valence).
+    ///
+    /// # Errors
+    /// [`SessionError`] ends the session.
+    pub fn wake(&mut self) -> Result<(), SessionError> {
+        if let Some(running) = &mut self.running
+            && running.wake(&self.model)?
+        {
+            self.stats.wakes += 1;
+        }
+        Ok(())
     }
 
     /// When to call [`poll_transmit`](Self::poll_transmit) again although no frame came in.
     pub fn poll_timeout(&self) -> Option<Timestamp> {
         let running = self.running.as_ref()?;
         let current = running.view.as_ref()?;
+        if let Some(settled_at) = running.settled_at {
+            return running.mirror.as_ref().map(|_| settled_at + self.config.rest_after);
+        }
         let work = running.work.as_ref();
-        if work.is_some_and(|work| work.has_settled || work.waits_for_pages()) {
+        if work.is_some_and(Work::waits_for_pages) {
             return None;
         }
         // Once the view has rested, or where pages are missing, nothing but a frame from the client changes what can be sent.
@@ -360,17 +458,22 @@ impl Session {
     /// Totals so far.
     pub fn stats(&self) -> SessionStats {
         let held = self.running.as_ref().map_or(0, Running::heap_bytes);
-        SessionStats { heap_bytes: held as u64, ..self.stats }
+        let activity = self.running.as_ref().map_or(Activity::Moving, Running::activity);
+        SessionStats { heap_bytes: held as u64, activity, ..self.stats }
     }
 
-    /// The mirror of the client's mesh, once the client has said hello.
+    /// The mirror of the client's mesh, once the client has said hello and while the session does not rest.
     pub fn mirror(&self) -> Option<&Replica> {
-        self.running.as_ref().map(|running| running.mirror.replica())
+        self.running.as_ref()?.mirror.as_ref().map(Mirror::replica)
     }
 
     /// Applied ops and the slots they are addressed by, ids ascending, for tests and diagnostics.
     pub fn applied_ops(&self) -> Vec<(u32, u32)> {
-        let mut ops: Vec<(u32, u32)> = self.running.iter().flat_map(|running| running.mirror.applied()).collect();
+        let mut ops: Vec<(u32, u32)> = match &self.running {
+            Some(Running { mirror: Some(mirror), .. }) => mirror.applied().collect(),
+            Some(Running { resting: Some(resting), .. }) => resting.applied().into_iter().collect(),
+            _ => Vec::new(),
+        };
         ops.sort_unstable();
         ops
     }
@@ -381,6 +484,13 @@ impl Session {
             return Err(SessionError::Peer(text, CloseCode::Version));
         }
         let info = self.model.info();
+        if self.config.triangles() < info.smallest_limit {
+            let text = format!(
+                "this model's base of {} triangles takes more memory than a session may hold on this server",
+                info.smallest_limit
+            );
+            return Err(SessionError::Peer(text, CloseCode::Full));
+        }
         // The paper's 5 % of the ops, a quarter of what the client will hold, whichever is smaller.
         let default = (self.model.op_count() / 20).min(hello.triangle_limit / 4);
         let cache_entries = hello.cache_entries.unwrap_or(default).min(self.config.max_cache_entries);
@@ -391,7 +501,9 @@ impl Session {
         });
         self.running = Some(Running {
             cache_entries,
-            mirror: Mirror::new(&self.model, cache_entries)?,
+            mirror: Some(Mirror::new(&self.model, cache_entries)?),
+            resting: None,
+            settled_at: None,
             goal: Goal::default(),
             pacer: Pacer::new(self.config.max_window_bytes, hello.byte_rate, now),
             last_seq: BatchSeq(0),
@@ -415,7 +527,33 @@ impl Running {
             .work
             .as_ref()
             .map_or(0, |work| work.pending.capacity() * 4 + work.stale.heap_bytes() + work.reluctant.heap_bytes());
-        self.mirror.heap_bytes() + self.goal.heap_bytes() + work
+        let mirror = self.mirror.as_ref().map_or(0, Mirror::heap_bytes);
+        mirror + self.goal.heap_bytes() + self.resting.as_ref().map_or(0, |resting| resting.heap_bytes()) + work
+    }
+
+    fn activity(&self) -> Activity {
+        match (&self.mirror, self.settled_at) {
+            (None, _) => Activity::Resting,
+            (_, Some(_)) => Activity::Settled,
+            (_, None) => Activity::Moving,
+        }
+    }
+
+    /// Rebuilds the mirror if it was dropped; whether it was.
+    fn wake(&mut self, model: &PackedModel) -> Result<bool, MirrorError> {
+        let Some(resting) = &self.resting else { return Ok(false) };
+        self.mirror = Some(resting.wake(model)?);
+        self.resting = None;
+        Ok(true)
+    }
+
+    /// Drops the mirror, and with it the plan: a new view makes both anew.
+    fn rest(&mut self) {
+        if let Some(mirror) = self.mirror.take() {
+            self.resting = Some(Box::new(Resting::new(&mirror)));
+            self.work = None;
+            self.goal = Goal::default();
+        }
     }
 }
 
@@ -441,7 +579,6 @@ impl Work {
             is_limited: aim.is_limited,
             is_announced: access == PageAccess::Blocking,
             missing: aim.missing,
-            has_settled: false,
         }
     }
 

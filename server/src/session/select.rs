@@ -81,14 +81,6 @@ pub(crate) enum PageAccess {
     ReadAhead,
 }
 
-/// Triangles that an op adds.
-pub(crate) fn triangles_of(model: &PackedModel, op: u32) -> Result<u32, PackError> {
-    if op < model.spawn_count() {
-        return model.spawn_triangles(op);
-    }
-    model.split_triangles(op)
-}
-
 /// P* for a view and its triangle limit: parents before children, otherwise in order of priority. What a settled session holds.
 ///
 /// # Errors
@@ -345,7 +337,7 @@ impl Walk<'_> {
             return Ok(Fit::NotYet);
         }
         for &op in &closure.ops {
-            let triangles = triangles_of(self.model, op)?;
+            let triangles = self.model.triangles_of(op)?;
             let after = self.out.triangles.saturating_add(triangles);
             if after > limit {
                 // A component's spawn comes first in any closure that has one, so nothing was applied before it.

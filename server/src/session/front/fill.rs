@@ -2,7 +2,7 @@
 
 use std::collections::BinaryHeap;
 
-use super::super::select::{OpSet, pack, triangles_of, unpack};
+use super::super::select::{OpSet, pack, unpack};
 use super::rows::{Due, FILLS, WANTED};
 use super::{Children, Context, Front};
 use crate::pack::record::NO_OP;
@@ -155,7 +155,7 @@ impl Front {
         }
         for i in 0..self.closure.ops.len() {
             let op = self.closure.ops[i];
-            let after = triangles.saturating_add(triangles_of(model, op)?);
+            let after = triangles.saturating_add(model.triangles_of(op)?);
             if after > context.limit {
                 // A component's spawn comes first in any closure that has one, so nothing was applied before it.
                 return Ok(if op < model.spawn_count() { Fit::SkippedSpawn } else { Fit::Part });

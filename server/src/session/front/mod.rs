@@ -23,7 +23,7 @@ pub(super) use self::fill::Closure;
 use self::motion::Motion;
 use self::rows::{Due, FILLS, Rows, TOUCHED, WANTED, WAS_MEMBER};
 use super::score::{Probe, Scorer};
-use super::select::{PageAccess, triangles_of};
+use super::select::PageAccess;
 use crate::pack::record::NO_OP;
 use crate::pack::{PAGE_OPS, PackError, PackedModel, PageId};
 
@@ -500,7 +500,7 @@ impl Front {
         }
         self.stack.push(op);
         while let Some(op) = self.stack.pop() {
-            self.triangles += triangles_of(context.model, op)?;
+            self.triangles += context.model.triangles_of(op)?;
             for parent in parents(context.model, op)? {
                 let row = self.touch(parent);
                 let state = &mut self.rows.states[row];
@@ -529,7 +529,7 @@ impl Front {
         }
         self.stack.push(op);
         while let Some(op) = self.stack.pop() {
-            self.triangles -= triangles_of(context.model, op)?;
+            self.triangles -= context.model.triangles_of(op)?;
             for parent in parents(context.model, op)? {
                 let row = self.touch(parent);
                 let state = &mut self.rows.states[row];

@@ -30,6 +30,32 @@ pub(crate) fn server(subject: &Subject, options: &Options, report: &Report) -> a
     Ok(())
 }
 
+/// Row 18: memory of a session that holds a complete load, before and after it rests, and how fast it comes back.
+pub(crate) fn memory(subject: &Subject, options: &Options, report: &Report) -> anyhow::Result<()> {
+    let mut server = Session::new(subject.test.model.clone(), SessionConfig::default());
+    let (client, _) = Load::run(&subject.test, &mut server, |_| {})?;
+    let digest = server.mirror().map(|mirror| mirror.digest());
+    let vertices = f64::from(client.stats().vertices);
+    let moving = server.stats().heap_bytes as f64;
+    let mut rates = Vec::new();
+    let mut rested = 0.0;
+    for _ in 0..options.runs {
+        server.rest();
+        rested = server.stats().heap_bytes as f64;
+        let start = processor_time();
+        server.wake()?;
+        rates.push(client.stats().splits as f64 / (processor_time() - start).as_secs_f64());
+        ensure!(server.mirror().map(|mirror| mirror.digest()) == digest, "the mesh that came back is another one");
+    }
+    let rebuilt = server.stats().heap_bytes as f64;
+    let more = || json!({"vertices": vertices, "runs": options.runs});
+    report.line("18 server memory, moving", &subject.name, moving / vertices, "B/vertex", more());
+    report.line("18 server memory, moving again", &subject.name, rebuilt / vertices, "B/vertex", more());
+    report.line("18 server memory, at rest", &subject.name, rested / vertices, "B/vertex", more());
+    report.line("18 mirror rebuilt", &subject.name, median(rates), "ops/s", more());
+    Ok(())
+}
+
 /// Row 16: the frames of a complete load, decoded and applied.
 pub(crate) fn client(subject: &Subject, options: &Options, report: &Report) -> anyhow::Result<()> {
     let load = Load::record(&subject.test)?;
@@ -67,9 +93,20 @@ struct Load {
 impl Load {
     fn record(test: &TestModel) -> anyhow::Result<Self> {
         let mut server = Session::new(test.model.clone(), SessionConfig::default());
+        let mut frames = Vec::new();
+        let (client, server_time) = Self::run(test, &mut server, |frame| frames.push(frame))?;
+        let digest = server.mirror().map_or(0, |mirror| mirror.digest());
+        Ok(Self { frames, splits: client.stats().splits, digest, server_time })
+    }
+
+    /// Runs the load on a fresh session; the client and the server's processor time.
+    fn run(
+        test: &TestModel,
+        server: &mut Session,
+        mut keep: impl FnMut(Vec<u8>),
+    ) -> anyhow::Result<(ClientSession, Duration)> {
         let mut client = new_client();
         let mut now = Timestamp::default();
-        let mut frames = Vec::new();
         let mut server_time = Duration::ZERO;
         client.set_view(now, complete_view())?;
         while client.settled().is_none() {
@@ -83,12 +120,11 @@ impl Load {
             server_time += processor_time() - start;
             if let Some(frame) = frame {
                 client.handle_frame(now, &frame)?;
-                frames.push(frame);
+                keep(frame);
             }
         }
         check(&client, test)?;
-        let digest = server.mirror().map_or(0, |mirror| mirror.digest());
-        Ok(Self { frames, splits: client.stats().splits, digest, server_time })
+        Ok((client, server_time))
     }
 }
 

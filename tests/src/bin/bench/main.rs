@@ -39,6 +39,7 @@ const ROWS: [(u32, &str); 13] = [
     (13, "server, select + mirror + encode"),
     (14, "server time per view update"),
     (16, "client, decode + apply"),
+    (18, "server memory, moving and at rest"),
     (22, "screen error over random views (takes minutes)"),
 ];
 /// Rows that have to be asked for.
@@ -84,6 +85,7 @@ fn measure(row: u32, subject: &Subject, options: &Options, report: &Report) -> a
         13 => in_process::server(subject, options, report),
         14 => in_process::view_updates(subject, report),
         16 => in_process::client(subject, options, report),
+        18 => in_process::memory(subject, options, report),
         22 => in_process::calibration(subject, options, report),
         _ => bail!("row {row} cannot be measured here"),
     }
