@@ -35,6 +35,7 @@ impl FakeServer {
             box_max: [4095; 3],
             has_colors: true,
             has_moves: false,
+            visual_step: None,
             is_open: false,
             triangles: 10_000,
             vertices: 5_000,

@@ -1,5 +1,7 @@
 //! Control messages: plain types made for the wire.
 
+use std::num::NonZeroU16;
+
 use serde::{Deserialize, Serialize};
 
 use crate::ids::{BatchSeq, ModelHash, ViewSeq};
@@ -7,7 +9,7 @@ use crate::quant::Lattice;
 use crate::view::View;
 
 /// Version of everything in `PROTOCOL.md`. Both ends must have the same.
-pub const PROTOCOL_VERSION: u16 = 2;
+pub const PROTOCOL_VERSION: u16 = 3;
 
 /// What a client says.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -84,6 +86,8 @@ pub struct ModelInfo {
     pub has_colors: bool,
     /// Whether splits may move the vertex that they split.
     pub has_moves: bool,
+    /// Two coordinates of most vertices are multiples of this, in lattice steps: `visual` precision. `None`: `exact`.
+    pub visual_step: Option<NonZeroU16>,
     /// Whether the inside of the surface can be seen, so that back faces should be drawn.
     pub is_open: bool,
     /// Triangles of the complete mesh.

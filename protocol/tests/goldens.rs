@@ -1,4 +1,4 @@
-//! Golden frames of protocol version 2: the bytes of fixed messages and of a fixed session, as hexadecimal files. They hold
+//! Golden frames of protocol version 3: the bytes of fixed messages and of a fixed session, as hexadecimal files. They hold
 //! `PROTOCOL.md` and the code together and are never rewritten; a new version adds a folder.
 
 use std::path::PathBuf;
@@ -13,7 +13,7 @@ use lodestream_protocol::view::{Projection, View};
 use lodestream_protocol::wire::{decode_client, decode_server, encode_client, encode_server};
 
 fn folder() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden/v2")
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden/v3")
 }
 
 fn hex(bytes: &[u8]) -> String {
@@ -103,7 +103,7 @@ fn client_messages() -> Vec<(&'static str, ClientMessage)> {
         (
             "hello.hex",
             ClientMessage::Hello(Hello {
-                version: 2,
+                version: 3,
                 triangle_limit: 1_000_000,
                 cache_entries: Some(300),
                 byte_rate: None,
@@ -125,6 +125,7 @@ fn server_messages() -> Vec<(&'static str, ServerMessage)> {
         box_max: [1000, 900, 1000],
         has_colors: true,
         has_moves: false,
+        visual_step: None,
         is_open: false,
         triangles: 12,
         vertices: 8,

@@ -1,6 +1,7 @@
 //! Random sessions and random walks of the codec, to be run by the million ops: both ends must agree after every batch.
 
 use std::collections::BTreeSet;
+use std::num::NonZeroU16;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
@@ -9,7 +10,7 @@ use lodestream_protocol::mesh::Patch;
 use lodestream_protocol::op::{OpState, decode_batch, random_batch};
 use lodestream_protocol::testing::{OperationRng, base_meshes, check_replica};
 use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
-use lodestream_server::ingest::simplify::{BuildOptions, PlacementChoice};
+use lodestream_server::ingest::simplify::{BuildOptions, PlacementChoice, Precision};
 use lodestream_server::mesh::TriMesh;
 
 use crate::meshes::{self, every_topology};
@@ -69,9 +70,14 @@ impl Soak {
         for (name, mesh) in kinds {
             for (i, placement) in (0..).zip(PlacementChoice::ALL) {
                 let bits = [None, Some(12), Some(14)][(subjects.len() + i) % 3];
-                let options = BuildOptions { bits, placement, ..BuildOptions::default() };
+                let precision = if subjects.len() % 2 == 0 { Precision::Visual } else { Precision::Exact };
+                let options = BuildOptions { bits, placement, precision, ..BuildOptions::default() };
                 let test = TestModel::with_options(mesh.clone(), &options);
-                subjects.push(Subject { name: format!("{name}, {placement:?}"), test, complete: OnceLock::new() });
+                subjects.push(Subject {
+                    name: format!("{name}, {placement:?}, {precision:?}"),
+                    test,
+                    complete: OnceLock::new(),
+                });
             }
         }
         Self { subjects, patches: base_meshes().into_iter().map(|(_, patch)| patch).collect() }
@@ -91,7 +97,9 @@ impl Soak {
         let base = &self.patches[rng.below(self.patches.len() as u32) as usize];
         let capacity = [0, rng.below(60), rng.below(5000), 1 << 16][rng.below(4) as usize];
         let (has_colors, has_moves) = (rng.one_in(2), rng.one_in(2));
-        let mut server = OpState::new(base, 12, has_colors, has_moves, capacity).expect("the base is a manifold");
+        let step = NonZeroU16::new(rng.below(4) as u16);
+        let server = OpState::new(base, 12, has_colors, has_moves, capacity).expect("the base is a manifold");
+        let mut server = server.with_step(step);
         let mut client = server.clone();
         let limit = [40 + rng.below(400), 2000 + rng.below(8000)][rng.below(2) as usize];
         let mut done = Done::default();

@@ -1,6 +1,8 @@
 //! What sessions sent, free of how it was coded: the material for breakdowns, for training priors and for benchmarks of the
 //! codec.
 
+use std::num::NonZeroU16;
+
 use glam::DVec3;
 use lodestream_client::core::ClientConfig;
 use lodestream_protocol::mesh::Patch;
@@ -101,6 +103,8 @@ pub struct SessionTrace {
     pub has_colors: bool,
     /// Whether splits move the vertex that they split.
     pub has_moves: bool,
+    /// Step of `visual` precision.
+    pub visual_step: Option<NonZeroU16>,
     /// Capacity of the op cache.
     pub cache_entries: u32,
     /// The batches as sent.
@@ -181,6 +185,7 @@ impl SessionTrace {
                         lattice_bits: model.lattice.bits,
                         has_colors: model.has_colors,
                         has_moves: model.has_moves,
+                        visual_step: model.visual_step,
                         cache_entries,
                         batches: Vec::new(),
                     });
@@ -208,7 +213,9 @@ impl SessionTrace {
     /// The state of both ends before the first batch.
     pub fn start(&self) -> OpState {
         let Self { base, lattice_bits, has_colors, has_moves, cache_entries, .. } = self;
-        OpState::new(base, *lattice_bits, *has_colors, *has_moves, *cache_entries).expect("the base is a manifold")
+        OpState::new(base, *lattice_bits, *has_colors, *has_moves, *cache_entries)
+            .expect("the base is a manifold")
+            .with_step(self.visual_step)
     }
 
     /// The ops, batch by batch.

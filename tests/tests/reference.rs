@@ -1,12 +1,14 @@
 //! The codec against its plain twin: the same ops and the same bytes.
 
+use std::num::NonZeroU16;
+
 use lodestream_protocol::mesh::Patch;
 use lodestream_protocol::op::{
     OpState, canonical_order, decode_base, decode_batch_traced, encode_base, encode_trace, random_batch,
 };
 use lodestream_protocol::testing::{OperationRng, base_meshes};
 use lodestream_protocol::view::UNLIMITED_TRIANGLES;
-use lodestream_server::ingest::simplify::{BuildOptions, PlacementChoice};
+use lodestream_server::ingest::simplify::{BuildOptions, PlacementChoice, Precision};
 use lodestream_tests::meshes;
 use lodestream_tests::model::TestModel;
 use lodestream_tests::reference::{self, Reference};
@@ -33,9 +35,10 @@ fn random_batches() {
             let mut rng = OperationRng::new(seed * 77 + 3);
             let capacity = [0, rng.below(20), 500][rng.below(3) as usize];
             let (has_colors, has_moves) = (rng.one_in(2), rng.one_in(2));
-            let mut server = OpState::new(&base, 12, has_colors, has_moves, capacity).unwrap();
+            let step = [None, NonZeroU16::new(2), NonZeroU16::new(5)][rng.below(3) as usize];
+            let mut server = OpState::new(&base, 12, has_colors, has_moves, capacity).unwrap().with_step(step);
             let mut client = server.clone();
-            let mut twin = Reference::new(&base, 12, has_colors, has_moves, capacity);
+            let mut twin = Reference::new(&base, 12, has_colors, has_moves, capacity).with_step(step);
             let limit = 40 + rng.below(300);
             let mut next_id = 0;
             for batch in 0..25 {
@@ -58,13 +61,18 @@ fn sessions() {
         ("noise", meshes::noisy_sphere(3000, 2), None, Path::Close),
     ];
     for (name, mesh, bits, path) in kinds {
-        for placement in PlacementChoice::ALL {
-            let options = BuildOptions { bits, placement, ..BuildOptions::default() };
+        for (placement, precision) in PlacementChoice::ALL
+            .into_iter()
+            .zip([Precision::Exact, Precision::Visual].into_iter().cycle())
+            .chain([(PlacementChoice::Endpoint, Precision::Visual)])
+        {
+            let options = BuildOptions { bits, placement, precision, ..BuildOptions::default() };
             let test = TestModel::with_options(mesh.clone(), &options);
             let trace = SessionTrace::record(&test, path, UNLIMITED_TRIANGLES);
-            let SessionTrace { lattice_bits, has_colors, has_moves, cache_entries, .. } = trace;
+            let SessionTrace { lattice_bits, has_colors, has_moves, visual_step, cache_entries, .. } = trace;
             let mut client = trace.start();
-            let mut twin = Reference::new(&trace.base, lattice_bits, has_colors, has_moves, cache_entries);
+            let twin = Reference::new(&trace.base, lattice_bits, has_colors, has_moves, cache_entries);
+            let mut twin = twin.with_step(visual_step);
             assert!(!trace.batches.is_empty());
             for (i, batch) in trace.batches.iter().enumerate() {
                 compare(&batch.ops, batch.limit, &mut client, &mut twin, &format!("{name}, {placement:?}, batch {i}"));

@@ -329,7 +329,8 @@ impl ClientSession {
             return Err(ClientError::BadModel("cache size"));
         }
         let base = decode_base(base, info.lattice.bits, info.has_colors)?;
-        let state = OpState::new(&base, info.lattice.bits, info.has_colors, info.has_moves, cache_entries)?;
+        let state = OpState::new(&base, info.lattice.bits, info.has_colors, info.has_moves, cache_entries)?
+            .with_step(info.visual_step);
         self.model = Some(Model { info, base, cache_entries, state });
         self.generation = self.generation.wrapping_add(1);
         self.note_mesh(now);
@@ -339,7 +340,8 @@ impl ClientSession {
     fn restart(&mut self, now: Timestamp) -> Result<(), ClientError> {
         let Model { info, base, cache_entries, state } = self.model.as_mut().expect("the inbox opens with the welcome");
         let is_tracked = state.replica_mut().dirty_mut().is_some();
-        *state = OpState::new(base, info.lattice.bits, info.has_colors, info.has_moves, *cache_entries)?;
+        *state = OpState::new(base, info.lattice.bits, info.has_colors, info.has_moves, *cache_entries)?
+            .with_step(info.visual_step);
         if is_tracked {
             state.replica_mut().track_dirty();
         }

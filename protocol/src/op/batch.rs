@@ -4,6 +4,7 @@
 //! an ordered candidate set; a later round flags only those candidates that the round before it can have made legal.
 
 use std::collections::BTreeSet;
+use std::num::NonZeroU16;
 
 use super::cut::{CutModels, Ranking};
 use super::fixed::lg;
@@ -12,6 +13,7 @@ use super::local::Ring;
 use super::observe::{BatchTrace, Breakdown, Note, Observed, Part};
 use super::patch::{PatchModels, fits};
 use super::range_coder::{BitCoder, Contexts, Decoder, Encoder, NumberModel, Prob, ScaledSet, Source, contexts};
+use super::steps::StepModels;
 use super::trained::{TRAINED, Trained};
 use crate::cache::SplitCache;
 use crate::ids::VertexSlot;
@@ -31,6 +33,7 @@ pub struct OpState {
     lattice_bits: u8,
     has_colors: bool,
     has_moves: bool,
+    visual_step: Option<NonZeroU16>,
     fan: Fan,
     ring: Ring,
     ranking: Ranking,
@@ -50,10 +53,11 @@ struct Models {
     same_cut: Prob,
     cut: CutModels,
     geometry: GeometryModels,
+    steps: StepModels,
     patch: PatchModels,
 }
 
-contexts!(Models: forget, count, collapse_gap, split_gap, spawn_gap, collapse_flag, split_flag, same_cut, cut, geometry);
+contexts!(Models: forget, count, collapse_gap, split_gap, spawn_gap, collapse_flag, split_flag, same_cut, cut, geometry, steps);
 
 impl Models {
     fn new(trained: &Trained) -> Self {
@@ -68,6 +72,7 @@ impl Models {
             same_cut: Prob::HALF,
             cut: CutModels::NEW,
             geometry: GeometryModels::NEW,
+            steps: StepModels::NEW,
             patch: PatchModels::new(trained),
         };
         models.start_from(trained.priors);
@@ -176,10 +181,16 @@ impl OpState {
             lattice_bits,
             has_colors,
             has_moves,
+            visual_step: None,
             fan: Fan::default(),
             ring: Ring::default(),
             ranking: Ranking::default(),
         })
+    }
+
+    /// The same for a model of this step, see [`ModelInfo::visual_step`](crate::message::ModelInfo::visual_step).
+    pub fn with_step(self, visual_step: Option<NonZeroU16>) -> Self {
+        Self { visual_step, ..self }
     }
 
     /// The mesh.
@@ -356,7 +367,7 @@ impl<'a, C: BitCoder> Rounds<'a, C> {
         limit: u32,
         resolve: impl FnOnce(&Replica, &Fan) -> Option<(Cut, NewVertex)>,
     ) -> Result<VertexSlot, DecodeError> {
-        let OpState { replica, cache, models, trained, has_colors, has_moves, fan, ring, ranking, .. } =
+        let OpState { replica, cache, models, trained, has_colors, has_moves, visual_step, fan, ring, ranking, .. } =
             &mut *self.state;
         let models = &mut **models;
         replica.fan(VertexSlot(s), fan)?;
@@ -382,8 +393,10 @@ impl<'a, C: BitCoder> Rounds<'a, C> {
                     return Err(ApplyError::BadCut { slot: s, faces: fan.faces(), cut }.into());
                 }
                 let colors = has_colors.then(|| replica.colors());
-                let geometry = &mut models.geometry;
-                let vertex = geometry.vertex(&mut self.coder, trained, s, fan, ring, cut, colors, *has_moves, &vertex);
+                let Models { geometry, steps, .. } = models;
+                let coarse = visual_step.map(|step| (steps, i32::from(step.get())));
+                let coder = &mut self.coder;
+                let vertex = geometry.vertex(coder, trained, s, fan, ring, cut, colors, *has_moves, coarse, &vertex);
                 (cut, vertex, false)
             }
         };

@@ -9,6 +9,7 @@ use super::fixed::{lg, mean};
 use super::local::{Ring, dot};
 use super::observe::{Note, Part};
 use super::range_coder::{BitCoder, NumberModel, Prob, ScaledSet, contexts};
+use super::steps::{Grid, StepModels};
 use super::trained::{CUT_SHAPES, SizeWeights, Trained};
 use crate::mesh::{Cut, Fan, NewVertex};
 
@@ -70,20 +71,36 @@ impl GeometryModels {
         cut: Cut,
         colors: Option<&[[u8; 3]]>,
         moves: bool,
+        coarse: Option<(&mut StepModels, i32)>,
         value: &NewVertex,
     ) -> NewVertex {
         let prediction = Prediction::new(trained, fan, ring, cut);
-        let [u, v, h] = ring.axes;
-        let residual = |k: usize, predicted: i32| value.position[k].wrapping_sub(predicted);
-        let escape = &mut self.escape;
-        let du = self.across.signed(coder, escape, prediction.tangent_size, residual(u, prediction.point[u]));
-        let dv = self.along.signed(coder, escape, prediction.tangent_size, residual(v, prediction.point[v]));
-        let height = prediction.point[h].wrapping_sub(fall(ring, du, dv));
-        let dh = self.height.signed(coder, escape, prediction.height_size, residual(h, height));
+        let Self { across, along, height, escape, .. } = self;
         let mut out = NewVertex::default();
-        out.position[u] = prediction.point[u].wrapping_add(du);
-        out.position[v] = prediction.point[v].wrapping_add(dv);
-        out.position[h] = height.wrapping_add(dh);
+        let mut axes = ring.axes;
+        let residual = |k: usize, predicted: i32| value.position[k].wrapping_sub(predicted);
+        let mut grid = Grid { axes, unit: 1 };
+        let mut sets = (across, along, &mut *escape);
+        if let Some((models, step)) = coarse {
+            grid = models.grid(coder, step, fan.is_closed(), ring, value.position);
+            if grid.unit > 1 {
+                sets = (&mut models.across, &mut models.along, &mut models.escape);
+            }
+        }
+        let size = prediction.tangent_size - lg(grid.unit as u64);
+        axes = grid.axes;
+        let [u, v, h] = axes;
+        let mut place = |set: &mut ScaledSet, k: usize| {
+            let near = prediction.point[k].wrapping_add(grid.unit / 2).div_euclid(grid.unit);
+            let away = set.signed(coder, sets.2, size, (value.position[k] / grid.unit).wrapping_sub(near));
+            out.position[k] = near.wrapping_add(away).wrapping_mul(grid.unit);
+            out.position[k].wrapping_sub(prediction.point[k])
+        };
+        let du = place(sets.0, u);
+        let dv = place(sets.1, v);
+        let level = prediction.point[h].wrapping_sub(fall(ring, axes, du, dv));
+        let dh = height.signed(coder, escape, prediction.height_size, residual(h, level));
+        out.position[h] = level.wrapping_add(dh);
         coder.note(Note::Spent(Part::Position));
         if let Some(colors) = colors {
             out.color = self.color.vertex(coder, s, fan, cut, colors, value.color);
@@ -139,10 +156,11 @@ impl MoveModels {
         // As far from the fan's plane through `before` as `t` is, on the same side.
         let drop = t[h].wrapping_sub(before[h]).wrapping_add(fall(
             ring,
+            ring.axes,
             t[u].wrapping_sub(before[u]),
             t[v].wrapping_sub(before[v]),
         ));
-        let height = drop.wrapping_sub(fall(ring, out[u], out[v]));
+        let height = drop.wrapping_sub(fall(ring, ring.axes, out[u], out[v]));
         let coded = self.height.signed(coder, escape, prediction.height_size, value[h].wrapping_sub(height));
         out[h] = height.wrapping_add(coded);
         out
@@ -251,8 +269,7 @@ impl Prediction {
 }
 
 /// How far the fan's plane falls along the third axis over a step along the first two.
-fn fall(ring: &Ring, du: i32, dv: i32) -> i32 {
-    let [u, v, h] = ring.axes;
+fn fall(ring: &Ring, [u, v, h]: [usize; 3], du: i32, dv: i32) -> i32 {
     if ring.normal[h] == 0 {
         return 0;
     }

@@ -13,6 +13,7 @@ mod local;
 mod observe;
 mod patch;
 mod range_coder;
+mod steps;
 mod trained;
 #[cfg(any(test, feature = "testing"))]
 pub mod training;

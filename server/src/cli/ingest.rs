@@ -15,7 +15,7 @@ use crate::ingest::read::{ReadReport, read_mesh};
 use crate::ingest::report::{BuildReport, Progress, Stage};
 use crate::ingest::simplify::{BuildOptions, PlacementChoice};
 use crate::ingest::spill::Workspace;
-use crate::ingest::{DEFAULT_CREASE_ANGLE_DEG, ingest};
+use crate::ingest::{DEFAULT_CREASE_ANGLE_DEG, Precision, Resampled, ingest};
 use crate::pack::Metadata;
 use crate::picture;
 use crate::repository::{ModelId, Original, Repository};
@@ -38,6 +38,9 @@ pub struct IngestArgs {
     /// Where the vertex that a collapse leaves lies.
     #[arg(long, default_value = Placement::AVAILABLE[0].0, value_parser = parse::<Placement>)]
     pub placement: Placement,
+    /// Whether vertices keep their places or may slide along the surface to where they take fewer bytes.
+    #[arg(long, default_value = PrecisionArg::AVAILABLE[0].0, value_parser = parse::<PrecisionArg>)]
+    pub precision: PrecisionArg,
     /// Which collapse comes next.
     #[arg(long, default_value = Order::AVAILABLE[0].0, value_parser = parse::<Order>)]
     pub order: Order,
@@ -110,8 +113,12 @@ pub fn run(args: IngestArgs) -> anyhow::Result<()> {
             read_report: serde_json::to_value(&read)?,
             ..Metadata::default()
         };
-        let options =
-            BuildOptions { bits: args.bits, placement: args.placement.into(), weld_tolerance: args.weld_tolerance };
+        let options = BuildOptions {
+            bits: args.bits,
+            placement: args.placement.into(),
+            weld_tolerance: args.weld_tolerance,
+            precision: args.precision.into(),
+        };
         let input = Input { raw, metadata, original };
         let report = publish(&repository, id, input, &options, (&plan, &workspace), &progress).with_context(failed)?;
         drop(progress);
@@ -282,6 +289,10 @@ impl Published {
             rate / 1e6
         );
         println!("  base of {} triangles, {} spawns, {} bits", built.base_triangles, built.spawns, built.bits);
+        if let Some(Resampled { step, moved, largest }) = built.resampled {
+            let step = step.map_or(1, |step| step.get());
+            println!("  {moved} vertices moved to multiples of {step} lattice steps, by at most {largest:.1}");
+        }
         println!("  {}", self.cleaned.to_string().trim_end().replace('\n', "\n  "));
         read.notes.iter().for_each(|what| println!("  {what}"));
         read.not_carried.iter().for_each(|what| println!("  not carried: {what}"));
@@ -355,6 +366,15 @@ choice! {
     later
 }
 
+impl From<PrecisionArg> for Precision {
+    fn from(precision: PrecisionArg) -> Self {
+        match precision {
+            PrecisionArg::Exact => Self::Exact,
+            PrecisionArg::Visual => Self::Visual,
+        }
+    }
+}
+
 impl From<Placement> for PlacementChoice {
     fn from(placement: Placement) -> Self {
         match placement {
@@ -364,6 +384,16 @@ impl From<Placement> for PlacementChoice {
             Placement::Optimal => Self::Optimal,
         }
     }
+}
+
+choice! {
+    /// Whether vertices keep their places.
+    PrecisionArg,
+    /// Where they are, rounded to the lattice.
+    "exact" => Exact,
+    /// Moved along the surface, by a sixteenth of an edge or so, to where they take fewer bits.
+    "visual" => Visual;
+    later
 }
 
 choice! {

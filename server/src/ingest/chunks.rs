@@ -8,6 +8,7 @@
 use lodestream_protocol::quant::Lattice;
 
 use super::hierarchy::Point;
+use super::partition::Resampled;
 use super::spill::{Spill, SpillError};
 use crate::pack::CompleteMesh;
 
@@ -32,6 +33,8 @@ pub(crate) struct ChunkedMesh {
     /// First face of each chunk, and the number of faces at the end. No chunk is empty.
     pub(crate) chunk_starts: Vec<u32>,
     pub(crate) components: ComponentTable,
+    /// What `visual` precision did to the vertices.
+    pub(crate) resampled: Option<Resampled>,
     /// The mesh in figures: what complete refinement must give back.
     pub(crate) complete: CompleteMesh,
 }
@@ -82,8 +85,17 @@ impl VertexTable {
         self.packed.len()
     }
 
+    pub(crate) fn positions(&self) -> impl Iterator<Item = [i32; 3]> + '_ {
+        self.packed.iter().copied().map(unpack)
+    }
+
     pub(crate) fn position(&self, v: u32) -> [i32; 3] {
         unpack(self.packed[v as usize])
+    }
+
+    /// Moves a vertex.
+    pub(crate) fn set_position(&mut self, v: u32, position: [i32; 3]) {
+        self.packed[v as usize] = pack(position);
     }
 
     pub(crate) fn color(&self, v: u32) -> [u8; 3] {

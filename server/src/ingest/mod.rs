@@ -21,7 +21,7 @@ use std::time::Instant;
 
 use self::clean::CleanReport;
 use self::hierarchy::assembly::{Assembled, Model, assemble};
-pub use self::partition::PartitionError;
+pub use self::partition::{PartitionError, Precision, Resampled};
 use self::partition::{PartitionOptions, partition};
 use self::raw::RawMesh;
 use self::report::{BuildReport, Progress, Stage, Timings};
@@ -136,7 +136,7 @@ fn ingest_in_pool(
     let tell = |stage, fraction| progress(Progress { stage, fraction });
     let started = Instant::now();
     tell(Stage::Partition, 0.0);
-    let partition_options = PartitionOptions::new(options.bits, options.weld_tolerance);
+    let partition_options = PartitionOptions::new(options.bits, options.weld_tolerance, options.precision);
     let (mesh, cleaned) =
         partition(raw, &partition_options, workspace, &mut |fraction| tell(Stage::Partition, fraction))?;
     let partitioned_at = started.elapsed().as_secs_f64();
@@ -151,6 +151,7 @@ fn ingest_in_pool(
     tell(Stage::Assemble, 0.0);
     let chunks = mesh.chunk_count();
     let boundary_vertices = mesh.vertices.boundary_count();
+    let resampled = mesh.resampled;
     let chunks::ChunkedMesh { lattice, has_colors, is_open, vertices, faces, components, complete, .. } = mesh;
     let (vertices, faces) = {
         let counts = (vertices.len(), faces.len());
@@ -173,6 +174,7 @@ fn ingest_in_pool(
         components: components.components.len(),
         boundary_vertices,
         is_open,
+        resampled,
         chunks,
         sweeps: figures.sweeps,
         splits,

@@ -2,6 +2,8 @@
 
 use serde::Serialize;
 
+use super::partition::Resampled;
+
 /// Figures of one model. Lengths are in lattice steps.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct BuildReport {
@@ -19,6 +21,9 @@ pub struct BuildReport {
     pub boundary_vertices: usize,
     /// Whether facing-away tests are off.
     pub is_open: bool,
+    /// What `visual` precision did; `None` for `exact`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub resampled: Option<Resampled>,
     /// Chunks that the mesh was cut into.
     pub chunks: u32,
     /// Sweeps of the batched order, over all chunks.

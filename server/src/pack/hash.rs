@@ -1,5 +1,7 @@
 //! Identity of a model: what its complete mesh hashes to, whatever the order of vertices and faces.
 
+use std::num::NonZeroU16;
+
 use lodestream_protocol::ids::ModelHash;
 
 /// What is known of a complete mesh before it is simplified; a replay of the pack must come to the same.
@@ -15,6 +17,8 @@ pub struct CompleteMesh {
     pub box_min: [i32; 3],
     /// Largest lattice coordinates, zeros without vertices.
     pub box_max: [i32; 3],
+    /// See [`ModelInfo::visual_step`](lodestream_protocol::message::ModelInfo::visual_step).
+    pub visual_step: Option<NonZeroU16>,
 }
 
 impl CompleteMesh {
@@ -30,6 +34,7 @@ impl CompleteMesh {
             triangles: faces.len() as u64,
             box_min,
             box_max,
+            visual_step: None,
         }
     }
 }

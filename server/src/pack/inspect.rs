@@ -1,6 +1,7 @@
 //! What a pack holds, for people and as JSON.
 
 use std::fmt;
+use std::num::NonZeroU16;
 
 use lodestream_protocol::quant::Lattice;
 use serde::Serialize;
@@ -41,6 +42,8 @@ pub struct Inspection {
     pub has_colors: bool,
     /// Whether splits may move the vertex that they split.
     pub has_moves: bool,
+    /// Two coordinates of most vertices are multiples of this, in lattice steps: `visual` precision.
+    pub visual_step: Option<NonZeroU16>,
     /// Whether the inside of the surface can be seen.
     pub is_open: bool,
     /// Vertices of the base.
@@ -113,6 +116,7 @@ pub fn inspect(model: &PackedModel) -> Result<Inspection, PackError> {
         attributes: if info.has_colors { vec!["position", "color"] } else { vec!["position"] },
         has_colors: info.has_colors,
         has_moves: info.has_moves,
+        visual_step: info.visual_step,
         is_open: info.is_open,
         base_vertices: model.base().positions.len() as u32,
         base_triangles: model.base().faces.len() as u32,
@@ -148,6 +152,11 @@ impl fmt::Display for Inspection {
         line("complete mesh", format!("{} triangles, {} vertices", self.triangles, self.vertices))?;
         line("extent", format!("{x} x {y} x {z}"))?;
         line("lattice", format!("{} bits, step {:e}", self.lattice.bits, self.lattice.step))?;
+        if let Some(step) = self.visual_step {
+            let moved = &self.metadata.build_report["resampled"]["largest"];
+            let moved = moved.as_f64().map_or(String::new(), |far| format!(", vertices moved by {far:.1} at most"));
+            line("precision", format!("visual, in {step} lattice steps across{moved}"))?;
+        }
         line("attributes", or_dash(&attributes.join(", ")))?;
         line("base", format!("{} triangles, {} vertices", self.base_triangles, self.base_vertices))?;
         line("smallest limit", format!("{} triangles", self.smallest_limit))?;

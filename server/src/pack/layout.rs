@@ -127,6 +127,8 @@ pub(super) struct ModelFields {
 pub(super) const FLAG_COLORS: u32 = 1;
 pub(super) const FLAG_MOVES: u32 = 2;
 pub(super) const FLAG_OPEN: u32 = 4;
+/// The upper half of the flags is the step of a model of `visual` precision, 0 for others.
+pub(super) const STEP_SHIFT: u32 = 16;
 
 /// One entry of the spawn table: numbers of the first root vertex and root face of a spawn. A last entry holds the totals.
 #[repr(C)]

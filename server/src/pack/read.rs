@@ -1,6 +1,7 @@
 //! Reading a pack in place.
 
 use std::fmt;
+use std::num::NonZeroU16;
 use std::ops::Range;
 use std::sync::{Arc, OnceLock};
 
@@ -11,8 +12,8 @@ use lodestream_protocol::op::encode_base;
 
 use super::header::{check_section, read_model, read_table};
 use super::layout::{
-    FLAG_COLORS, FLAG_MOVES, FLAG_OPEN, MAX_METADATA_BYTES, PAGE_SHIFT, SPAWN_PAGE_HEADER, Section, SectionEntry,
-    SpawnEntry, align8, column, tag,
+    FLAG_COLORS, FLAG_MOVES, FLAG_OPEN, MAX_METADATA_BYTES, PAGE_SHIFT, SPAWN_PAGE_HEADER, STEP_SHIFT, Section,
+    SectionEntry, SpawnEntry, align8, column, tag,
 };
 use super::page::{PageContext, PageView, TestPage};
 use super::pages::{PageId, Pages};
@@ -167,6 +168,7 @@ impl PackedModel {
             box_max: fields.box_max,
             has_colors: context.has_colors,
             has_moves: context.has_moves,
+            visual_step: NonZeroU16::new((fields.flags >> STEP_SHIFT) as u16),
             is_open: fields.flags & FLAG_OPEN != 0,
             triangles: fields.triangles,
             vertices: fields.vertices,

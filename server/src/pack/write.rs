@@ -11,7 +11,7 @@ use xxhash_rust::xxh3::{Xxh3, xxh3_64};
 use super::hash::CompleteMesh;
 use super::layout::{
     FLAG_COLORS, FLAG_MOVES, FLAG_OPEN, FileHeader, MAGIC, MAX_METADATA_BYTES, ModelFields, PAGE_OPS, SECTION_REQUIRED,
-    SPAWN_PAGE_HEADER, Section, SectionEntry, VERSION, tag,
+    SPAWN_PAGE_HEADER, STEP_SHIFT, Section, SectionEntry, VERSION, tag,
 };
 use super::metadata::Metadata;
 use super::outline::{Outline, SplitSource, WholeDag};
@@ -188,7 +188,8 @@ fn model_fields(outline: &Outline, complete: &CompleteMesh, context: &PageContex
         bits: outline.lattice.bits.into(),
         flags: flag(context.has_colors, FLAG_COLORS)
             | flag(context.has_moves, FLAG_MOVES)
-            | flag(outline.is_open, FLAG_OPEN),
+            | flag(outline.is_open, FLAG_OPEN)
+            | complete.visual_step.map_or(0, |step| u32::from(step.get()) << STEP_SHIFT),
         box_min: complete.box_min,
         box_max: complete.box_max,
         hash: complete.hash.0,

@@ -36,6 +36,8 @@ pub(super) struct Aim {
     /// Largest priority of an op that was left out.
     pub(super) error: f32,
     pub(super) is_limited: bool,
+    /// Ops that were judged for it one by one; none are counted where the view was walked.
+    pub(super) tested: u32,
     /// Pages that have to be read before this is all, see [`select`](super::select::Selection::missing).
     pub(super) missing: Vec<PageId>,
 }
@@ -68,8 +70,7 @@ impl Goal {
         let update = self.front.update(model, &scorer, view, access)?;
         let may_bind = u64::from(view.triangle_limit) < model.info().triangles;
         if may_bind && !update.missing.is_empty() {
-            let walked = self.walk(model, access, view, mirror, &scorer);
-            return walked;
+            return self.walk(model, access, view, mirror, &scorer);
         }
         let Self { front, waiting, stale, is_known } = self;
         if *is_known {
@@ -87,6 +88,7 @@ impl Goal {
             lambda: update.lambda,
             error: update.error,
             is_limited: update.is_limited,
+            tested: update.tested,
             missing: update.missing,
         })
     }
@@ -109,6 +111,7 @@ impl Goal {
             lambda: selection.lambda,
             error: selection.error,
             is_limited: selection.is_limited,
+            tested: 0,
             missing: selection.missing,
         })
     }

@@ -63,7 +63,8 @@ impl Mirror {
     pub(crate) fn new(model: &PackedModel, cache_entries: u32) -> Result<Self, PackError> {
         let info = model.info();
         let state = OpState::new(model.base(), info.lattice.bits, info.has_colors, info.has_moves, cache_entries)
-            .map_err(|error| PackError::Damaged { section: "base", reason: error.to_string() })?;
+            .map_err(|error| PackError::Damaged { section: "base", reason: error.to_string() })?
+            .with_step(info.visual_step);
         Ok(Self { state, op_at: Vec::new(), slot_of: OpMap::default(), forgets_cuts: false })
     }
 

@@ -166,6 +166,8 @@ pub struct SessionStats {
     pub resets: u64,
     /// Views received.
     pub views: u64,
+    /// Ops judged because their answer might have changed with a view.
+    pub tested: u64,
     /// Mirrors dropped because the session was at rest, and mirrors rebuilt.
     pub rests: u64,
     /// See `rests`.
@@ -372,6 +374,7 @@ impl Session {
         };
         if running.work.is_none() {
             let aim = running.goal.aim(&self.model, self.access, &current.view, mirror)?;
+            self.stats.tested += u64::from(aim.tested);
             running.work = Some(Work::new(self.access, aim, mirror));
         }
         let work = running.work.as_mut().expect("made above");

@@ -1,4 +1,4 @@
-//! Where the bits of a session go: `bits FILE... [--bits N] [--json]`.
+//! Where the bits of a session go: `bits FILE... [--bits N] [--precision visual] [--json]`.
 //!
 //! For a complete load and for each camera path, from cold: bits per op by what they were spent on, as code lengths of what
 //! the decoder read. Frames are counted with what surrounds the ops; the WebSocket adds 2, 4 or 10 bytes to a frame by its
@@ -8,7 +8,9 @@ use std::path::Path as FilePath;
 
 use lodestream_protocol::op::Part;
 use lodestream_protocol::view::UNLIMITED_TRIANGLES;
+use lodestream_server::ingest::Precision;
 use lodestream_server::ingest::read::read_mesh_in_memory;
+use lodestream_server::ingest::simplify::BuildOptions;
 use lodestream_tests::model::TestModel;
 use lodestream_tests::traces::{Path, SessionTrace};
 use serde_json::json;
@@ -16,6 +18,8 @@ use serde_json::json;
 fn main() -> anyhow::Result<()> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let bits = args.iter().position(|a| a == "--bits").and_then(|i| args.get(i + 1)).map_or(Ok(14), |b| b.parse())?;
+    let is_visual = args.windows(2).any(|pair| pair == ["--precision", "visual"]);
+    let precision = if is_visual { Precision::Visual } else { Precision::Exact };
     let as_json = args.iter().any(|a| a == "--json");
     if !as_json {
         println!(
@@ -42,7 +46,8 @@ fn main() -> anyhow::Result<()> {
     for file in args.iter().take_while(|a| !a.starts_with("--")) {
         let (mesh, _) = read_mesh_in_memory(FilePath::new(file))?;
         let case = FilePath::new(file).file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
-        let test = TestModel::new(mesh, Some(bits));
+        let options = BuildOptions { bits: Some(bits), precision, ..BuildOptions::default() };
+        let test = TestModel::with_options(mesh, &options);
         for path in Path::ALL {
             let limit = if path == Path::Jump { 100_000 } else { UNLIMITED_TRIANGLES };
             report(&case, path, &SessionTrace::record(&test, path, limit), as_json)?;

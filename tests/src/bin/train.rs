@@ -196,7 +196,10 @@ impl Session {
     /// Bytes of the batches as coded with `trained`; `tally` counts what the contexts saw.
     fn encode(&self, trained: &'static Trained, mut tally: Option<&mut Tally>) -> anyhow::Result<usize> {
         let SessionTrace { base, lattice_bits, has_colors, has_moves, cache_entries, .. } = &self.trace;
-        let new = || OpState::with_trained(trained, base, *lattice_bits, *has_colors, *has_moves, *cache_entries);
+        let new = || -> anyhow::Result<OpState> {
+            let state = OpState::with_trained(trained, base, *lattice_bits, *has_colors, *has_moves, *cache_entries)?;
+            Ok(state.with_step(self.trace.visual_step))
+        };
         let (mut sender, mut receiver) = (new()?, new()?);
         let mut bytes = 0;
         for (batch, limit) in &self.ops {

@@ -4,7 +4,7 @@
 use anyhow::{Context, Result, ensure};
 use lodestream_protocol::op::{decode_batch, encode_base};
 use lodestream_protocol::view::UNLIMITED_TRIANGLES;
-use lodestream_server::ingest::simplify::{BuildOptions, PlacementChoice};
+use lodestream_server::ingest::simplify::{BuildOptions, PlacementChoice, Precision};
 use lodestream_tests::meshes;
 use lodestream_tests::model::TestModel;
 use lodestream_tests::traces::{Path, SessionTrace};
@@ -14,7 +14,7 @@ use wasmi::{Engine, Instance, Linker, Module, Store, TypedFunc};
 struct Twin {
     store: Store<()>,
     push: TypedFunc<u32, ()>,
-    base: TypedFunc<(u32, u32, u32, u32), u64>,
+    base: TypedFunc<(u32, u32, u32, u32, u32), u64>,
     batch: TypedFunc<u32, u64>,
 }
 
@@ -53,7 +53,8 @@ fn main() -> Result<()> {
     for (name, mesh, path) in kinds {
         for placement in PlacementChoice::ALL {
             let what = format!("{name}, {placement:?}");
-            let options = BuildOptions { placement, ..BuildOptions::default() };
+            let precision = if sessions % 2 == 0 { Precision::Visual } else { Precision::Exact };
+            let options = BuildOptions { placement, precision, ..BuildOptions::default() };
             let test = TestModel::with_options(mesh.clone(), &options);
             let trace = SessionTrace::record(&test, path, UNLIMITED_TRIANGLES);
             ops += replay(&mut twin, &trace).with_context(|| what)?;
@@ -70,7 +71,8 @@ fn replay(twin: &mut Twin, trace: &SessionTrace) -> Result<u64> {
     let mut state = trace.start();
     twin.push(&encode_base(&trace.base, trace.lattice_bits, trace.has_colors))?;
     let flags = [trace.has_colors, trace.has_moves].map(u32::from);
-    let setup = (trace.lattice_bits.into(), flags[0], flags[1], trace.cache_entries);
+    let step = trace.visual_step.map_or(0, |step| step.get().into());
+    let setup = (trace.lattice_bits.into(), flags[0], flags[1], step, trace.cache_entries);
     let digest = twin.base.call(&mut twin.store, setup)?;
     ensure!(digest == state.replica().digest(), "the bases differ");
     let mut ops = 0;

@@ -10,6 +10,7 @@ mod patch;
 mod ring;
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::num::NonZeroU16;
 
 use lodestream_protocol::ids::VertexSlot;
 use lodestream_protocol::mesh::{Cut, Fan, NewVertex, Patch, Replica, SplitUndo};
@@ -24,6 +25,8 @@ pub struct Reference {
     lattice_bits: u8,
     has_colors: bool,
     has_moves: bool,
+    /// Of `visual` precision; 0 for `exact`.
+    step: i32,
     contexts: Contexts,
     patch_contexts: Contexts,
     cache: Cache,
@@ -115,6 +118,12 @@ fn op_contexts() -> Contexts {
         one("move/in_middle"),
         one("move/parity"),
         residuals("move"),
+        names::each("steps/is_coarse", &[2, 2]),
+        names::each("steps/is_fans_axis", &[8]),
+        names::each("steps/is_next_axis", &[8]),
+        names::scaled_set("steps/across"),
+        names::scaled_set("steps/along"),
+        names::number("steps/escape"),
     ];
     contexts(&all.concat(), TRAINED.priors)
 }
@@ -140,10 +149,16 @@ impl Reference {
             lattice_bits,
             has_colors,
             has_moves,
+            step: 0,
             contexts: op_contexts(),
             patch_contexts: patch::patch_contexts(),
             cache: Cache { capacity: cache_entries, ..Cache::default() },
         }
+    }
+
+    /// The same for a model of `visual` precision.
+    pub fn with_step(self, step: Option<NonZeroU16>) -> Self {
+        Self { step: step.map_or(0, |step| step.get().into()), ..self }
     }
 
     /// The mesh.
@@ -299,16 +314,24 @@ impl Reference {
 
     fn vertex(&mut self, tape: &mut Tape<'_>, ring: &Ring, s: u32, cut: Cut) -> NewVertex {
         let contexts = &mut self.contexts;
-        let [u, v, h] = ring.axes;
+        let coarse = if self.step > 0 { ring.coarse_axes(tape, contexts, self.step) } else { None };
         let (point, tangent, height) = ring.prediction(cut);
-        let escape = "vertex/escape";
-        let du = tape.scaled_signed(contexts, "vertex/across", escape, tangent);
-        let dv = tape.scaled_signed(contexts, "vertex/along", escape, tangent);
-        let dh = tape.scaled_signed(contexts, "vertex/height", escape, height);
         let mut vertex = NewVertex::default();
-        vertex.position[u] = point[u] + du;
-        vertex.position[v] = point[v] + dv;
-        vertex.position[h] = point[h] - ring.fall(du, dv) + dh;
+        let axes = coarse.unwrap_or(ring.axes);
+        for (axis, name) in [(axes[0], "across"), (axes[1], "along")] {
+            vertex.position[axis] = match coarse {
+                None => point[axis] + tape.scaled_signed(contexts, &format!("vertex/{name}"), "vertex/escape", tangent),
+                Some(_) => {
+                    let size = tangent - lg(self.step as u64);
+                    let away = tape.scaled_signed(contexts, &format!("steps/{name}"), "steps/escape", size);
+                    ((point[axis] + self.step / 2).div_euclid(self.step) + away) * self.step
+                }
+            };
+        }
+        let [u, v, h] = axes;
+        let fall = ring.fall_along(axes, vertex.position[u] - point[u], vertex.position[v] - point[v]);
+        let dh = tape.scaled_signed(contexts, "vertex/height", "vertex/escape", height);
+        vertex.position[h] = point[h] - fall + dh;
         if self.has_colors {
             let colors = ring.beside(cut).map(|slot| self.replica.colors()[slot as usize]);
             vertex.color = color(tape, contexts, colors);

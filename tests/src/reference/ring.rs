@@ -93,9 +93,35 @@ impl Ring {
         lg(squares as u64 / vectors.len() as u64)
     }
 
+    /// Reads whether two coordinates are multiples of the step, and which: those before the last of the axes.
+    pub(super) fn coarse_axes(&self, tape: &mut Tape<'_>, contexts: &mut Contexts, step: i32) -> Option<[usize; 3]> {
+        let multiples = self.origin.iter().filter(|x| **x % step == 0).count();
+        let (here, closed) = (u32::from(multiples >= 2), u32::from(self.is_closed));
+        if !tape.bit(contexts, &format!("steps/is_coarse/{here}/{closed}")) {
+            return None;
+        }
+        let size = |axis: usize| lg(self.normal[axis].unsigned_abs());
+        // By how much the fan faces them; stable, so that of equal ones the first comes first.
+        let mut order = [0, 1, 2];
+        order.sort_by_key(|&axis| std::cmp::Reverse(self.normal[axis].unsigned_abs()));
+        let class = |i: usize| ((size(order[i]) - size(order[i + 1])) / 4).min(7);
+        let exact = if tape.bit(contexts, &format!("steps/is_fans_axis/{}", class(0))) {
+            order[0]
+        } else if tape.bit(contexts, &format!("steps/is_next_axis/{}", class(1))) {
+            order[1]
+        } else {
+            order[2]
+        };
+        Some([[1, 2, 0], [0, 2, 1], [0, 1, 2]][exact])
+    }
+
     /// How far the fan's plane falls along the third axis.
     pub(super) fn fall(&self, du: i32, dv: i32) -> i32 {
-        let [u, v, h] = self.axes;
+        self.fall_along(self.axes, du, dv)
+    }
+
+    /// How far it falls along the last of some axes.
+    pub(super) fn fall_along(&self, [u, v, h]: [usize; 3], du: i32, dv: i32) -> i32 {
         if self.normal[h] == 0 {
             return 0;
         }

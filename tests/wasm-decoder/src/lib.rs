@@ -8,6 +8,7 @@
 
 use std::cell::RefCell;
 use std::mem::take;
+use std::num::NonZeroU16;
 
 use lodestream_protocol::op::{OpState, decode_base, decode_batch};
 
@@ -33,12 +34,19 @@ pub extern "C" fn push(byte: u32) {
 
 /// Begins a session with the base that was pushed, whatever came before. Returns the digest.
 #[unsafe(no_mangle)]
-pub extern "C" fn base(lattice_bits: u32, has_colors: u32, has_moves: u32, cache_entries: u32) -> u64 {
+pub extern "C" fn base(
+    lattice_bits: u32,
+    has_colors: u32,
+    has_moves: u32,
+    visual_step: u32,
+    cache_entries: u32,
+) -> u64 {
     with(|module| {
         let (bits, has_colors) = (lattice_bits as u8, has_colors != 0);
         let base = decode_base(&take(&mut module.bytes), bits, has_colors).expect("the base decodes");
         let state = OpState::new(&base, bits, has_colors, has_moves != 0, cache_entries);
-        module.state.insert(state.expect("the base is a manifold")).replica().digest()
+        let state = state.expect("the base is a manifold").with_step(NonZeroU16::new(visual_step as u16));
+        module.state.insert(state).replica().digest()
     })
 }
 

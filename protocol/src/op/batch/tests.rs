@@ -13,7 +13,8 @@ fn both_ends_agree_after_every_batch() {
             let mut rng = OperationRng::new(seed * 31 + 5);
             let capacity = rng.below(60);
             let (has_colors, has_moves) = (rng.one_in(2), rng.one_in(2));
-            let mut server = OpState::new(&base, 12, has_colors, has_moves, capacity).unwrap();
+            let step = NonZeroU16::new(rng.below(4) as u16);
+            let mut server = OpState::new(&base, 12, has_colors, has_moves, capacity).unwrap().with_step(step);
             let mut client = server.clone();
             let limit = 40 + rng.below(400);
             let mut next_id = 0;
@@ -35,12 +36,15 @@ fn both_ends_agree_after_every_batch() {
 fn a_reader_written_from_the_text_agrees() {
     let patches: Vec<Patch> = base_meshes().into_iter().map(|(_, patch)| patch).collect();
     for (name, base) in base_meshes() {
-        for seed in 0..3 {
+        for seed in 0..5 {
             let mut rng = OperationRng::new(seed * 31 + 5);
             let capacity = rng.below(60);
             let (has_colors, has_moves) = (seed != 1, seed > 0);
-            let mut server = OpState::new(&base, 12, has_colors, has_moves, capacity).unwrap();
-            let mut reader = Reader::new(&base, 12, has_colors, has_moves, capacity);
+            // Steps that random coordinates are multiples of often and seldom.
+            let step = [0, 2, 3][(seed % 3) as usize];
+            let server = OpState::new(&base, 12, has_colors, has_moves, capacity).unwrap();
+            let mut server = server.with_step(NonZeroU16::new(step));
+            let mut reader = Reader::new(&base, 12, has_colors, has_moves, step, capacity);
             let limit = 40 + rng.below(200);
             let mut next_id = 0;
             for batch in 0..20 {
@@ -58,7 +62,7 @@ fn mutated_batches_are_refused_or_harmless() {
     let patches: Vec<Patch> = base_meshes().into_iter().map(|(_, patch)| patch).collect();
     let base = patches[3].clone();
     let mut rng = OperationRng::new(99);
-    let mut server = OpState::new(&base, 12, true, true, 30).unwrap();
+    let mut server = OpState::new(&base, 12, true, true, 30).unwrap().with_step(NonZeroU16::new(3));
     let mut next_id = 0;
     for _ in 0..30 {
         let before = server.clone();

@@ -10,6 +10,7 @@ use lodestream_protocol::quant::Lattice;
 use super::Surveyed;
 use super::faces::Ranges;
 use super::local::Local;
+use super::resample::{self, Precision};
 use super::runs::{blocks_in_order, in_order};
 use super::trouble::Cuts;
 use crate::ingest::chunks::{ChunkedMesh, Component, ComponentTable, VertexTable, height_of, pack, patches};
@@ -19,6 +20,7 @@ use crate::pack::{CompleteMesh, complete_mesh_hash};
 
 pub(super) struct Input {
     pub(super) lattice: Lattice,
+    pub(super) precision: Precision,
     pub(super) positions: Spill<[f64; 3]>,
     pub(super) colors: Option<Spill<[u8; 3]>>,
     pub(super) surveyed: Surveyed,
@@ -69,19 +71,35 @@ pub(super) fn finish(
     workspace: &Workspace,
     progress: &mut dyn FnMut(f32),
 ) -> Result<ChunkedMesh, SpillError> {
-    let Input { lattice, positions, colors, mut surveyed, cuts, ranges } = input;
+    let Input { lattice, precision, positions, colors, mut surveyed, cuts, ranges } = input;
     let has_colors = colors.is_some();
     let places = final_places(std::mem::take(&mut surveyed.places), &cuts);
-    let (packed, bounds) = round(&positions, &lattice, &cuts, places.len())?;
+    let (packed, mut bounds) = round(&positions, &lattice, &cuts, places.len())?;
     drop(positions);
     let colors = match colors {
         Some(colors) => copied(&colors, &cuts, places.len())?,
         None => Vec::new(),
     };
-    let vertices = VertexTable::new(packed, colors, places);
+    let mut vertices = VertexTable::new(packed, colors, places);
 
     let chunk_count = surveyed.chunk_starts.len() - 1;
     let ranges = ranges.renumbered(|v| cuts.number(v));
+    let mut resampled = None;
+    if precision == Precision::Visual {
+        let max = lattice.max_coordinate();
+        let done = resample::resample(&mut vertices, chunk_count, max, |chunk| {
+            let mut faces = surveyed.chunk(chunk)?;
+            if cuts.has_copies() {
+                faces.iter_mut().for_each(|face| *face = cuts.renumbered(*face));
+            }
+            let local = Local::new(ranges.range(chunk), faces.iter().flatten().copied());
+            faces.iter_mut().for_each(|face| *face = face.map(|v| local.place(v)));
+            Ok((local, faces))
+        })?;
+        bounds = Bounds::NOTHING;
+        vertices.positions().for_each(|p| bounds.add(p));
+        resampled = Some(done);
+    }
     let mut faces = cuts.has_copies().then(|| workspace.spill());
     let (mut hash, mut area) = (0_u64, 0.0);
     let mut joiner = Joiner::default();
@@ -118,7 +136,9 @@ pub(super) fn finish(
             triangles: faces.len(),
             box_min: bounds.low,
             box_max: bounds.high,
+            visual_step: resampled.and_then(|resampled| resampled.step),
         },
+        resampled,
         vertices,
         faces,
         chunk_starts: surveyed.chunk_starts,

@@ -22,6 +22,7 @@ mod lattice;
 mod local;
 mod near;
 mod orient;
+mod resample;
 mod runs;
 mod scan;
 mod sort;
@@ -38,6 +39,7 @@ use self::faces::{Face, Ranges};
 use self::lattice::EdgeLengths;
 #[cfg(test)]
 pub(crate) use self::lattice::MIN_DEFAULT_BITS;
+pub use self::resample::{Precision, Resampled};
 use self::runs::{Runs, in_order};
 use self::scan::Extent;
 use self::stars::Stars;
@@ -56,13 +58,14 @@ pub(crate) struct PartitionOptions {
     pub(crate) bits: Option<u8>,
     /// Vertices that are this close together, in model units, are joined, one after the other; 0 for none.
     pub(crate) weld_tolerance: f64,
+    pub(crate) precision: Precision,
     /// Anything but the default is for tests.
     pub(crate) limits: Limits,
 }
 
 impl PartitionOptions {
-    pub(crate) fn new(bits: Option<u8>, weld_tolerance: f64) -> Self {
-        Self { bits, weld_tolerance, ..Self::default() }
+    pub(crate) fn new(bits: Option<u8>, weld_tolerance: f64, precision: Precision) -> Self {
+        Self { bits, weld_tolerance, precision, ..Self::default() }
     }
 }
 
@@ -174,7 +177,7 @@ pub(crate) fn partition(
     let lattice = Lattice::of_box(low, high, bits);
     let duplicate_faces = surveyed.duplicates;
     let counts = cuts.counts;
-    let input = finish::Input { lattice, positions, colors, surveyed, cuts, ranges };
+    let input = finish::Input { lattice, precision: options.precision, positions, colors, surveyed, cuts, ranges };
     let mesh = finish::finish(input, workspace, &mut |done| progress(0.8 + 0.2 * done))?;
     let report = CleanReport {
         vertices_before,

@@ -25,6 +25,7 @@ mod tree;
 
 pub use self::placement::PlacementChoice;
 pub(crate) use self::tree::simplify;
+pub use super::partition::Precision;
 
 /// Choices of a build.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -36,4 +37,6 @@ pub struct BuildOptions {
     pub placement: PlacementChoice,
     /// Vertices that are this close together, in model units, are joined, one after the other; 0 for none but those at one place.
     pub weld_tolerance: f64,
+    /// Whether vertices may slide along the surface.
+    pub precision: Precision,
 }

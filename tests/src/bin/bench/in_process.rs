@@ -223,7 +223,7 @@ pub(crate) fn view_updates(subject: &Subject, report: &Report) -> anyhow::Result
         let mut server = Session::new(subject.test.model.clone(), SessionConfig::default());
         let mut client = new_client();
         let mut now = Timestamp::default();
-        let (mut times, mut ops, mut vertices) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut times, mut ops, mut vertices, mut tested) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for step in 0..STEPS {
             let (eye, target) = path(f64::from(step));
             let view = View {
@@ -256,6 +256,7 @@ pub(crate) fn view_updates(subject: &Subject, report: &Report) -> anyhow::Result
             if step > 0 {
                 times.push(time.as_secs_f64() * 1e3);
                 ops.push((after.splits + after.collapses - before.splits - before.collapses) as f64);
+                tested.push((after.tested - before.tested) as f64);
                 vertices.push(client.replica().map_or(0, |replica| replica.vertex_count()) as f64);
             }
         }
@@ -264,7 +265,7 @@ pub(crate) fn view_updates(subject: &Subject, report: &Report) -> anyhow::Result
         ensure!(client_digest == server_digest && client.stats().resets == 0, "the two ends disagreed");
         times.sort_by(f64::total_cmp);
         let memory = server.stats().heap_bytes as f64 / vertices.last().copied().unwrap_or(1.0);
-        let more = json!({"p50": times[times.len() / 2], "vertices": median(vertices), "ops": median(ops), "B/vertex": memory});
+        let more = json!({"p50": times[times.len() / 2], "vertices": median(vertices), "ops": median(ops), "tested": median(tested), "B/vertex": memory});
         let case = format!("{}, {name}", subject.name);
         report.line("14 server time per view update, p99", &case, times[times.len() * 99 / 100], "ms", more);
     }

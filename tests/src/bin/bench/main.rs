@@ -1,4 +1,4 @@
-//! `bench [ROW...] [FILE...] [--json] [--bits N] [--runs N]`: the figures of TARGETS.md, one line each, as a table or as JSON
+//! `bench [ROW...] [FILE...] [--json] [--bits N] [--precision exact|visual] [--runs N]`: the figures of TARGETS.md, one line each, as a table or as JSON
 //! objects `{"name", "value", "unit", "case"}` with what else there is to say about a figure in further fields.
 //!
 //! Rows are numbers. Without any, all of [`ROWS`] but those that take minutes. Models are the files named; else those of
@@ -18,6 +18,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, bail, ensure};
 use lodestream_server::ingest::sample;
+use lodestream_server::ingest::simplify::{BuildOptions, Precision};
 use lodestream_server::mesh::TriMesh;
 use lodestream_tests::meshes;
 use lodestream_tests::model::TestModel;
@@ -26,7 +27,7 @@ use lodestream_tests::source::Source;
 use serde_json::{Map, Value, json};
 
 /// Rows that can be measured, and what they are.
-const ROWS: [(u32, &str); 13] = [
+const ROWS: [(u32, &str); 14] = [
     (1, "bits per split, complete from cold"),
     (2, "bits per split, moving"),
     (3, "bits per cached split and per collapse"),
@@ -95,6 +96,8 @@ fn measure(row: u32, subject: &Subject, options: &Options, report: &Report) -> a
 struct Options {
     /// Bits of a coordinate.
     bits: u8,
+    /// Of the models.
+    precision: Precision,
     /// Runs, of which the median counts.
     runs: usize,
     /// Random views.
@@ -111,9 +114,17 @@ struct Asked {
 
 impl Asked {
     fn parse(mut words: impl Iterator<Item = String>) -> anyhow::Result<Self> {
-        let options = Options { bits: 14, runs: 5, views: 40 };
+        let options = Options { bits: 14, precision: Precision::Exact, runs: 5, views: 40 };
         let mut asked = Self { rows: Vec::new(), files: Vec::new(), options, as_json: false };
         while let Some(word) = words.next() {
+            if word == "--precision" {
+                asked.options.precision = match words.next().as_deref() {
+                    Some("exact") => Precision::Exact,
+                    Some("visual") => Precision::Visual,
+                    _ => bail!("--precision is exact or visual"),
+                };
+                continue;
+            }
             let mut number = || -> anyhow::Result<usize> {
                 let text = words.next().with_context(|| format!("{word} takes a number"))?;
                 text.parse().with_context(|| format!("{word} {text}: no number"))
@@ -124,7 +135,7 @@ impl Asked {
                 "--runs" => asked.options.runs = number()?.max(1),
                 "--views" => asked.options.views = number()?.max(1),
                 flag if flag.starts_with('-') => {
-                    bail!("{flag}: there are --json, --bits N, --runs N and --views N")
+                    bail!("{flag}: there are --json, --bits N, --precision exact|visual, --runs N and --views N")
                 }
                 word => match word.parse() {
                     Ok(row) => {
@@ -163,7 +174,8 @@ impl Subject {
                 (folder.write_mesh(name, &mesh), Some(folder))
             }
         };
-        Ok(Self { name: source.name(), test: TestModel::new(mesh, Some(options.bits)), file, _folder: folder })
+        let build = BuildOptions { bits: Some(options.bits), precision: options.precision, ..BuildOptions::default() };
+        Ok(Self { name: source.name(), test: TestModel::with_options(mesh, &build), file, _folder: folder })
     }
 }
 

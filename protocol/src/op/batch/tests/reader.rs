@@ -114,6 +114,7 @@ pub(super) struct Reader {
     bits: i64,
     has_colors: bool,
     has_moves: bool,
+    step: i64,
     cache_entries: usize,
     position: BTreeMap<i64, Vec3>,
     color: BTreeMap<i64, Vec3>,
@@ -135,6 +136,7 @@ impl Reader {
         bits: u8,
         has_colors: bool,
         has_moves: bool,
+        step: u16,
         cache_entries: u32,
     ) -> Self {
         let contexts = [numbers("contexts", ""), numbers("patch_contexts", "")].concat();
@@ -150,6 +152,7 @@ impl Reader {
             bits: bits.into(),
             has_colors,
             has_moves,
+            step: step.into(),
             cache_entries: cache_entries as usize,
             position: (0..).zip(base.positions.iter().map(|p| p.map(i64::from))).collect(),
             color: (0..).zip(base.colors.iter().map(|c| c.map(i64::from))).collect(),

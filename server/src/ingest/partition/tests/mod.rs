@@ -17,6 +17,8 @@ use crate::mesh::edges::{DisjointSets, EdgeTable};
 use crate::mesh::morton::morton;
 use crate::pack::CompleteMesh;
 
+mod resample;
+
 /// Few enough for a mesh of a few hundred faces to have chunks of chunks.
 const SMALL: Limits = Limits { vertices: 20, faces: 12 };
 

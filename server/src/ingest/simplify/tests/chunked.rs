@@ -77,6 +77,7 @@ pub(super) fn chunked(mesh: &TriMesh, max_faces: usize, workspace: &Workspace) -
         faces: workspace.spill_of(&faces).unwrap(),
         chunk_starts,
         components: table,
+        resampled: None,
         complete,
     }
 }

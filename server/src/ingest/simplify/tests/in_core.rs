@@ -54,6 +54,7 @@ pub(super) fn build(mesh: &TriMesh, options: &BuildOptions) -> Result<(Dag, Buil
     let errors = || dag.splits.iter().map(|split| split.bounds.error);
     let smallest = errors().filter(|error| error.0 > 0).min().unwrap_or_default();
     let report = BuildReport {
+        resampled: None,
         bits: lattice.bits,
         step: lattice.step,
         vertices: mesh.positions.len(),

@@ -155,18 +155,44 @@ impl Reader {
         let point: Vec3 = std::array::from_fn(|k| {
             b[k] + (((0..4).map(|i| weights[4 * shape + i] * c[i][k]).sum::<i64>() + (1 << 13)) >> 14)
         });
-        let [u, v] = [[1, 2], [0, 2], [0, 1]][h];
+        let across = [[1, 2], [0, 2], [0, 1]];
+        let [u, v] = across[h];
         let near = |x: i64| x.clamp(-1 << 22, 1 << 22);
-        let fall = |x: i64, y: i64| match normal[h] {
+        let fall_along = |h: usize, x: i64, y: i64| match normal[h] {
             0 => 0,
-            down => ((normal[u] * near(x) + normal[v] * near(y)) / down).clamp(-1 << 23, 1 << 23),
+            down => {
+                let [u, v] = across[h];
+                ((normal[u] * near(x) + normal[v] * near(y)) / down).clamp(-1 << 23, 1 << 23)
+            }
         };
+        let fall = |x: i64, y: i64| fall_along(h, x, y);
         let coder = &mut self.coder;
-        let du = coder.signed(2956, 3736, tangent);
-        let dv = coder.signed(3216, 3736, tangent);
+        let step = self.step;
+        let is_s_coarse = step > 0 && b.iter().filter(|&&x| x % step == 0).count() >= 2;
         let mut t = [0; 3];
-        (t[u], t[v]) = (point[u] + du, point[v] + dv);
-        t[h] = point[h] - fall(du, dv) + coder.signed(3476, 3736, height);
+        if step > 0 && coder.bit(5850 + 2 * usize::from(is_s_coarse) + usize::from(ring.is_closed)) {
+            let faces = |k: usize| normal[k].abs();
+            let mut rest = across[h];
+            if faces(rest[1]) > faces(rest[0]) {
+                rest.swap(0, 1);
+            }
+            let more = |a: usize, b: usize| ((lg(faces(a).into()) - lg(faces(b).into())) / 4).clamp(0, 7) as usize;
+            let mut e = h;
+            if !coder.bit(5854 + more(h, rest[0])) {
+                e = if coder.bit(5862 + more(rest[0], rest[1])) { rest[0] } else { rest[1] };
+            }
+            let [u, v] = across[e];
+            let size = tangent - lg(step.into());
+            let mut multiple =
+                |k: usize, at| ((point[k] + step / 2).div_euclid(step) + coder.signed(at, 6390, size)) * step;
+            (t[u], t[v]) = (multiple(u, 5870), multiple(v, 6130));
+            t[e] = point[e] - fall_along(e, t[u] - point[u], t[v] - point[v]) + coder.signed(3476, 3736, height);
+        } else {
+            let du = coder.signed(2956, 3736, tangent);
+            let dv = coder.signed(3216, 3736, tangent);
+            (t[u], t[v]) = (point[u] + du, point[v] + dv);
+            t[h] = point[h] - fall(du, dv) + coder.signed(3476, 3736, height);
+        }
 
         let (mut color, mut moved, mut color_moved) = ([0; 3], [0; 3], [0; 3]);
         let before = self.color[&s];
