@@ -32,6 +32,8 @@ pub struct Scorer {
     threshold: f32,
     /// Box of the complete mesh, in lattice steps.
     model_box: [DVec3; 2],
+    /// That with a margin: centres of spheres may lie a little outside.
+    tested_box: [DVec3; 2],
 }
 
 /// What priorities are.
@@ -64,6 +66,11 @@ impl Scorer {
         self.near
     }
 
+    /// A box that holds the centres of all that [`probe`](Self::probe) lets wait; `None` where rays are parallel.
+    pub(super) fn tested_box(&self) -> Option<[DVec3; 2]> {
+        self.parallel.is_none().then_some(self.tested_box)
+    }
+
     /// The eye, in lattice steps.
     pub(super) fn eye(&self) -> DVec3 {
         self.eye
@@ -94,6 +101,8 @@ impl Scorer {
             None => view.pixel_scale(),
             Some(_) => view.pixel_scale() * lattice.step,
         };
+        let model_box = [model.box_min, model.box_max].map(|q| DVec3::from_array(q.map(f64::from)));
+        let margin = DVec3::splat(model_box[0].distance(model_box[1]) / 16.0 + 2.0);
         Self {
             eye: DVec3::from_array(lattice.to_lattice(view.eye)),
             planes,
@@ -107,7 +116,8 @@ impl Scorer {
             measure: if view.complete { Measure::Volume } else { Measure::Pixels },
             wants_all: view.complete,
             threshold: if view.complete { 0.0 } else { view.tolerance_px },
-            model_box: [model.box_min, model.box_max].map(|q| DVec3::from_array(q.map(f64::from))),
+            model_box,
+            tested_box: [model_box[0] - margin, model_box[1] + margin],
         }
     }
 
@@ -128,6 +138,7 @@ impl Scorer {
             threshold: steps,
             // Never looked at: complete views judge by error alone.
             model_box: [DVec3::ZERO; 2],
+            tested_box: [DVec3::ZERO; 2],
         }
     }
 
@@ -190,6 +201,10 @@ impl Scorer {
             pixels *= self.silhouette_factor;
         }
         let depth_moves = self.parallel.is_none();
+        let [low, high] = self.tested_box;
+        // What lies outside may move farther than the box: it is tested each time.
+        let is_boxed = center.cmpge(low).all() && center.cmple(high).all();
+        let distance = if is_boxed { distance } else { f64::INFINITY };
         Probe {
             inside,
             is_away: facing == Facing::Away && self.culls_facing_away,

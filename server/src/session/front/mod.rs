@@ -79,7 +79,7 @@ pub(crate) struct Front {
 #[derive(Clone, Copy, Debug)]
 struct SpawnRow {
     due: Due,
-    octave: u8,
+    band: u8,
 }
 
 /// What an update works with.
@@ -119,18 +119,18 @@ impl Pages<'_> {
 /// The least of several due times.
 struct Earliest {
     slack: f64,
-    octave: u8,
+    distance: f64,
     under: f32,
     over: f32,
 }
 
 impl Earliest {
-    const NEVER: Self = Self { slack: f64::INFINITY, octave: 0, under: f32::NEG_INFINITY, over: f32::INFINITY };
+    const NEVER: Self = Self { slack: f64::INFINITY, distance: 0.0, under: f32::NEG_INFINITY, over: f32::INFINITY };
 
     fn add(&mut self, distance: f64, slack: f64) {
-        let octave = Motion::octave(distance);
-        self.octave = self.octave.max(octave);
-        self.slack = self.slack.min(slack.min(f64::from(octave).exp2()));
+        self.distance = self.distance.max(distance);
+        // Beyond that, distances might have doubled.
+        self.slack = self.slack.min(slack.min(distance));
     }
 
     /// The op stays out, being of that priority.
@@ -152,9 +152,10 @@ impl Earliest {
         self.over = self.over.min(guard);
     }
 
-    fn due(&self, motion: &Motion) -> Due {
-        let motion = if self.slack == f64::INFINITY { f32::INFINITY } else { motion.due(self.octave, self.slack) };
-        Due { motion, under: self.under, over: self.over }
+    fn due(&self, motion: &Motion) -> (u8, Due) {
+        let (band, motion) =
+            if self.slack == f64::INFINITY { (0, f32::INFINITY) } else { motion.due(self.distance, self.slack) };
+        (band, Due { motion, under: self.under, over: self.over })
     }
 }
 
@@ -252,11 +253,11 @@ impl Front {
             });
             self.spawns.iter_mut().for_each(|spawn| spawn.due = Due::NOW);
         }
-        if let Some(sums) = self.motion.go_on(context.scorer.eye(), view.rotation()) {
-            let dues = self.rows.dues.iter_mut().zip(&self.rows.states).map(|(due, state)| (due, state.octave));
-            let spawns = self.spawns.iter_mut().map(|spawn| (&mut spawn.due, spawn.octave));
-            for (due, octave) in dues.chain(spawns) {
-                due.motion = (due.motion - sums[usize::from(octave)]).next_down();
+        if let Some(sums) = self.motion.go_on(context.scorer.eye(), view.rotation(), context.scorer.tested_box()) {
+            let dues = self.rows.dues.iter_mut().zip(&self.rows.states).map(|(due, state)| (due, state.band));
+            let spawns = self.spawns.iter_mut().map(|spawn| (&mut spawn.due, spawn.band));
+            for (due, band) in dues.chain(spawns) {
+                due.motion = (due.motion - sums[usize::from(band)]).next_down();
             }
         }
         self.drop_fills();
@@ -327,12 +328,12 @@ impl Front {
     /// Looks at all that is due and follows what that leads to.
     fn refresh(&mut self, context: &mut Context<'_>) -> Result<(), PackError> {
         let (sums, threshold) = (*self.motion.sums(), self.threshold);
-        let is_due = |due: &Due, octave: u8| {
-            due.motion <= sums[usize::from(octave)] || due.under > threshold || due.over < threshold
+        let is_due = |due: &Due, band: u8| {
+            due.motion <= sums[usize::from(band)] || due.under > threshold || due.over < threshold
         };
         self.work.clear();
         for ((due, state), &op) in self.rows.dues.iter().zip(&self.rows.states).zip(&self.rows.ops) {
-            if is_due(due, state.octave) {
+            if is_due(due, state.band) {
                 self.work.push(op);
             }
         }
@@ -351,8 +352,8 @@ impl Front {
         }
         self.see_spawns(context, threshold)?;
         for op in 0..self.spawns.len() as u32 {
-            let SpawnRow { due, octave } = self.spawns[op as usize];
-            if is_due(&due, octave) && self.look_at_spawn(context, op)? {
+            let SpawnRow { due, band } = self.spawns[op as usize];
+            if is_due(&due, band) && self.look_at_spawn(context, op)? {
                 self.work.push(op);
             }
         }
@@ -395,7 +396,7 @@ impl Front {
                 break;
             }
             let end = count.min((page + 1) * PAGE_OPS) as usize;
-            self.spawns.resize(end, SpawnRow { due: Due::NOW, octave: 0 });
+            self.spawns.resize(end, SpawnRow { due: Due::NOW, band: 0 });
         }
         Ok(())
     }
@@ -416,7 +417,8 @@ impl Front {
         }
         let mut earliest = Earliest::NEVER;
         earliest.stays_out(&probe, priority, self.threshold, context.scorer);
-        self.spawns[op as usize] = SpawnRow { due: earliest.due(&self.motion), octave: earliest.octave };
+        let (band, due) = earliest.due(&self.motion);
+        self.spawns[op as usize] = SpawnRow { due, band };
         Ok(false)
     }
 
@@ -476,8 +478,9 @@ impl Front {
             earliest.stays_in(&probe, priority, self.threshold, is_at_tolerance);
         }
         let row = self.rows.find(op).expect("rows of members stay");
-        self.rows.dues[row] = if is_incomplete { Due::NOW } else { earliest.due(&self.motion) };
-        self.rows.states[row].octave = earliest.octave;
+        let (band, due) = earliest.due(&self.motion);
+        self.rows.dues[row] = if is_incomplete { Due::NOW } else { due };
+        self.rows.states[row].band = band;
         Ok(())
     }
 

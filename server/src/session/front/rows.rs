@@ -17,8 +17,8 @@ pub(super) struct State {
     /// Members in the closure of the wanted ops that have it as a parent.
     pub(super) references: u16,
     pub(super) flags: u8,
-    /// Distances of what the row was tested with are below two to this power.
-    pub(super) octave: u8,
+    /// Band of the distances of what the row was tested with, see [`Motion`](super::motion::Motion).
+    pub(super) band: u8,
 }
 
 impl State {
