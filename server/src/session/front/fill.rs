@@ -9,7 +9,7 @@ use crate::pack::record::NO_OP;
 use crate::pack::{PackError, PackedModel};
 
 /// Ratio of the priorities between which candidates are taken up first; the square of the last one for each time after that.
-const BAND: f32 = 0.97;
+const BAND: f32 = 0.99;
 /// A ratio below which all that is left is taken up at once.
 const LAST_BAND: f32 = 0.01;
 

@@ -8,7 +8,7 @@
 //!   (ALGORITHMS 3.2). An update looks at the rows that are due, found by a scan of 12 bytes a row.
 //!
 //! The threshold is the tolerance as long as the closure fits the triangle limit. Where it does not, the threshold stays where the closure
-//! takes 96 to 100 % of the limit, and the rest is filled best-first, in the order that `select` has, anew for each view.
+//! takes 98.5 to 100 % of the limit, and the rest is filled best-first, in the order that `select` has, anew for each view.
 //!
 //! Cost of an update: about a nanosecond a row, and some 100 ns for each row that is due and each op that comes or goes.
 
@@ -28,9 +28,9 @@ use crate::pack::record::NO_OP;
 use crate::pack::{PAGE_OPS, PackError, PackedModel, PageId};
 
 /// Share of the limit that the wanted ops and their parents take at least, where the limit binds.
-const LOW_WATER: f64 = 0.96;
+const LOW_WATER: f64 = 0.985;
 /// Where an adjusted threshold aims.
-const AIM: f64 = 0.985;
+const AIM: f64 = 0.994;
 /// How the size of a closure falls with the threshold: by about the power -1.6.
 const THRESHOLD_POWER: f64 = 0.6;
 /// Where a threshold of zero is raised to.
