@@ -132,7 +132,7 @@ impl Pacer {
             forget(&mut self.rates, now);
             remember(&mut self.round_trips, now, round_trip.as_secs_f64(), |old, new| old >= new);
             self.refresh_round_trip(now);
-            self.adapt(sent);
+            self.adapt(sent, round_trip);
         }
     }
 
@@ -152,9 +152,13 @@ impl Pacer {
         }
     }
 
-    fn adapt(&mut self, acked: Sent) {
+    fn adapt(&mut self, acked: Sent, taken: Duration) {
         let rate = self.rates.front().map_or(0.0, |s| s.1);
         let round_trip = self.round_trip().unwrap_or_default();
+        if taken > round_trip + 2 * EXTRA {
+            // A queue has built up: the window is larger than the link needs.
+            self.is_starting = false;
+        }
         if self.is_starting && acked.delivered >= self.round_ends_at {
             // Once a round trip: has the larger window brought a higher rate?
             self.round_ends_at = self.delivered + self.in_flight_bytes;
