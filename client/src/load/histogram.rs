@@ -59,9 +59,9 @@ impl Histogram {
 
     /// Value at every percent from 1 to 100, divided by `unit`; empty without samples.
     pub(super) fn curve(&self, unit: f64) -> Vec<(f64, f64)> {
-        let percents = if self.count > 0 { 1..=100u32 } else { 1..=0 };
+        let most = if self.count > 0 { 100u32 } else { 0 };
         let share = |percent: u32| f64::from(percent) / 100.0;
-        percents.map(|percent| (share(percent), self.percentile(share(percent)) as f64 / unit)).collect()
+        (1..=most).map(|percent| (share(percent), self.percentile(share(percent)) as f64 / unit)).collect()
     }
 
     /// Percentiles, values divided by `unit`; `None` without samples.

@@ -1,4 +1,4 @@
-//! Plots as SVG texts that stand for themselves.
+//! Plots as SVG texts that stand for themselves. Floats here are for the eye only.
 
 use plotters::coord::ranged1d::{AsRangedCoord, ValueFormatter};
 use plotters::prelude::*;
@@ -54,8 +54,14 @@ impl Axis {
         match self.log_from {
             None => 0.0..if most > 0.0 { most * 1.05 } else { 1.0 },
             Some(from) => {
+                // To once, twice or five times a power of ten at both ends: few places on such an axis are labelled.
                 let least = if least.is_finite() { least } else { from };
-                least / 1.1..most.max(least) * 1.1
+                let most = most.max(least) * 1.02;
+                let steps =
+                    |value: f64| [0.5, 1.0, 2.0, 5.0, 10.0].map(|step| step * 10f64.powf(value.log10().floor()));
+                let below = steps(least).into_iter().rfind(|&step| step <= least);
+                let above = steps(most).into_iter().find(|&step| step >= most);
+                below.unwrap_or(least / 2.0)..above.unwrap_or(most * 2.0)
             }
         }
     }
@@ -168,7 +174,7 @@ where
             .configure_series_labels()
             .position(legend)
             .label_font((FONT, 12))
-            .background_style(WHITE.mix(0.85))
+            .background_style(WHITE.mix(0.6))
             .border_style(BLACK.mix(0.3))
             .draw()?;
     }

@@ -156,7 +156,7 @@ fn quantiles(lines: &[Vec<(f64, f64)>]) -> Vec<ErrorPoint> {
     if lines.is_empty() || ends <= 0.0 {
         return Vec::new();
     }
-    let begins = begins.max(ends / 1e3);
+    let begins = begins.max(ends / 1e2);
     let factor = (ends / begins).powf(1.0 / f64::from(CURVE_POINTS - 1));
     let places = (0..CURVE_POINTS).map(|i| if i + 1 == CURVE_POINTS { ends } else { begins * factor.powi(i) });
     let mut errors = Vec::with_capacity(lines.len());

@@ -89,7 +89,7 @@ fn check_well_formed(page: &str) {
         });
         let tag = &rest[start + 1..start + end.expect("a tag ends")];
         rest = &rest[start + tag.len() + 2..];
-        assert!(!tag.contains('<') && tag.matches('"').count() % 2 == 0, "{tag}");
+        assert!(!tag.contains('<') && tag.matches('"').count().is_multiple_of(2), "{tag}");
         if let Some(name) = tag.strip_prefix('/') {
             assert_eq!(open.pop(), Some(name), "{tag}");
         } else if !tag.ends_with('/') {
