@@ -194,6 +194,18 @@ fn failures_are_counted_by_cause() {
     let (cause, times) = failures.iter().next().expect("there are some");
     assert!(code == 1 && failures.len() == 1 && times == 2 && cause.contains("smallest"), "{failures:?} {said}");
     server_process.check_healthy();
+
+    // Nobody listens on a port that was free a moment ago.
+    let free = std::net::TcpListener::bind("127.0.0.1:0").and_then(|listener| listener.local_addr());
+    let url = format!("http://{}/models/sphere", free.expect("a port is free"));
+    let page = folder.join("report.html");
+    let words = ["load", &url, "--json", "-", "--report"].map(Path::new).into_iter().chain([&*page]);
+    let output = Running::start(&client_bin(), words).wait(RUN_LIMIT);
+    let figures: Value = serde_json::from_slice(&output.stdout).expect("figures all the same");
+    let reason = figures["server_missing"].as_str().expect("a reason");
+    assert!(output.status.code() == Some(1) && figures["server"].is_null(), "{}", described(&output));
+    assert!(reason.starts_with("/metrics of the server cannot be read"), "{reason}");
+    assert!(std::fs::read_to_string(&page).is_ok_and(|text| text.contains("No figures: /metrics of the server")));
 }
 
 #[test]

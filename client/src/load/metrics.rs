@@ -23,7 +23,7 @@ const MAX_READINGS: usize = 1024;
 #[non_exhaustive]
 pub enum MetricsError {
     /// No page.
-    #[error("{path} of the server cannot be read: {source}")]
+    #[error("{path} of the server cannot be read")]
     Get {
         /// Of the page.
         path: String,

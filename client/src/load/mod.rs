@@ -31,7 +31,7 @@ use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
 use crate::camera::{Detail, Viewport};
 use crate::net::link::LinkShape;
 use crate::net::target::Target;
-use client::{Shared, play};
+use client::{Shared, chain, play};
 use ladder::error_curves;
 use metrics::Reader;
 use pace::Pace;
@@ -122,7 +122,7 @@ async fn run_clients(options: Arc<LoadOptions>) -> Report {
     let mut totals = std::mem::take(&mut *shared.lock());
     stop.notify_one();
     let server = match reading.await {
-        Ok(reader) => reader.end(totals.connected, totals.connected_time).await.map_err(|error| error.to_string()),
+        Ok(reader) => reader.end(totals.connected, totals.connected_time).await.map_err(|error| chain(&error)),
         Err(error) => Err(format!("a bug of this program: {error}")),
     };
     let mut report = Report::new(&options, &totals, elapsed, server);
