@@ -1,7 +1,7 @@
 //! Command line of the Lodestream client: reads the flags, calls the library, prints, sets the exit code.
 
 use std::fs::File;
-use std::io::{BufReader, Write};
+use std::io::{BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -16,11 +16,13 @@ use lodestream_client::app::snapshot::{self, SnapshotOptions};
 use lodestream_client::camera::recording::Recording;
 use lodestream_client::camera::{Detail, Viewport};
 use lodestream_client::load::pace::Pace;
-use lodestream_client::load::path::Path as CameraPath;
+use lodestream_client::load::page;
+use lodestream_client::load::path::{Path as CameraPath, PathFile};
 use lodestream_client::load::{self, LoadOptions};
 use lodestream_client::net::link::{LinkRate, LinkShape, Stalls, parse_duration};
 use lodestream_client::net::target::Target;
 use lodestream_protocol::view::UNLIMITED_TRIANGLES;
+use xxhash_rust::xxh3::Xxh3;
 
 #[derive(Parser)]
 #[command(name = "lodestream", version, about = "Streams huge triangle meshes: exactly the detail that can be seen")]
@@ -140,6 +142,9 @@ struct LoadArgs {
     /// Write the figures as JSON, to standard output for '-'
     #[arg(long, value_name = "FILE|-")]
     json: Option<PathBuf>,
+    /// Write a page with plots, as HTML; asks the server for some views again to find out how their error fell
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
 }
 
 fn main() -> ExitCode {
@@ -189,14 +194,14 @@ fn run_snapshot(args: SnapshotArgs) -> anyhow::Result<()> {
 }
 
 fn run_load(args: LoadArgs) -> anyhow::Result<()> {
-    let path = read_path(&args.path)?;
+    let (path, path_file) = read_path(&args.path)?;
     let usual_pace = match path {
         CameraPath::Recorded(_) => Pace::Recorded,
         CameraPath::Jump => Pace::PerSecond(0.5),
         CameraPath::Orbit | CameraPath::Zoom | CameraPath::Fly => Pace::PerSecond(10.0),
     };
     let file = args.json.as_deref().filter(|file| *file != Path::new("-"));
-    if let Some(file) = file {
+    for file in file.into_iter().chain(args.report.as_deref()) {
         check_folder(file)?;
     }
     let options = LoadOptions {
@@ -205,6 +210,7 @@ fn run_load(args: LoadArgs) -> anyhow::Result<()> {
         ramp: args.ramp,
         duration: args.duration,
         path,
+        path_file,
         pace: args.view_rate.unwrap_or(usual_pace),
         viewport: args.size,
         fov_y_rad: args.fov.to_radians(),
@@ -212,6 +218,7 @@ fn run_load(args: LoadArgs) -> anyhow::Result<()> {
         shape: LinkShape { rate: args.rate, latency: args.latency, loss: args.loss, stalls: args.stall, seed: 0 },
         seed: args.seed,
         threads: args.threads,
+        has_error_curves: args.report.is_some(),
     };
     let report = load::run(options).context("cannot start")?;
     match (&args.json, file) {
@@ -225,15 +232,33 @@ fn run_load(args: LoadArgs) -> anyhow::Result<()> {
         }
         (None, None) => print_line(&report.to_string())?,
     }
+    if let Some(file) = &args.report {
+        let page = page::html(&report).context("cannot draw the report")?;
+        write_aside(file, |out| out.write_all(page.as_bytes()))?;
+    }
     match report.faults() {
         faults if faults.is_empty() => Ok(()),
         faults => Err(anyhow::anyhow!("{}", faults.join(", "))),
     }
 }
 
+/// Passes bytes on and hashes them.
+struct Hashed<R> {
+    inner: R,
+    hash: Xxh3,
+}
+
+impl<R: Read> Read for Hashed<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let count = self.inner.read(buffer)?;
+        self.hash.update(&buffer[..count]);
+        Ok(count)
+    }
+}
+
 /// A built-in path by its name, else a file.
-fn read_path(text: &str) -> anyhow::Result<CameraPath> {
-    Ok(match text {
+fn read_path(text: &str) -> anyhow::Result<(CameraPath, Option<PathFile>)> {
+    let path = match text {
         "orbit" => CameraPath::Orbit,
         "zoom" => CameraPath::Zoom,
         "fly" => CameraPath::Fly,
@@ -242,10 +267,14 @@ fn read_path(text: &str) -> anyhow::Result<CameraPath> {
             let opened = File::open(file).with_context(|| {
                 format!("--path '{file}' is neither orbit, zoom, fly, jump nor a file that can be read")
             })?;
-            let recording = Recording::read(BufReader::new(opened)).with_context(|| format!("--path '{file}'"))?;
-            CameraPath::Recorded(Arc::new(recording))
+            let mut bytes = BufReader::new(Hashed { inner: opened, hash: Xxh3::new() });
+            let recording = Recording::read(&mut bytes).with_context(|| format!("--path '{file}'"))?;
+            let xxh3 = format!("{:016x}", bytes.into_inner().hash.digest());
+            let path_file = PathFile { name: file.into(), xxh3, views: recording.views().len() };
+            return Ok((CameraPath::Recorded(Arc::new(recording)), Some(path_file)));
         }
-    })
+    };
+    Ok((path, None))
 }
 
 /// Prints a line; a closed pipe is an error and not a panic.

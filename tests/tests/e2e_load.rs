@@ -194,4 +194,56 @@ fn failures_are_counted_by_cause() {
     let (cause, times) = failures.iter().next().expect("there are some");
     assert!(code == 1 && failures.len() == 1 && times == 2 && cause.contains("smallest"), "{failures:?} {said}");
     server_process.check_healthy();
+
+    // Nobody listens on a port that was free a moment ago.
+    let free = std::net::TcpListener::bind("127.0.0.1:0").and_then(|listener| listener.local_addr());
+    let url = format!("http://{}/models/sphere", free.expect("a port is free"));
+    let page = folder.join("report.html");
+    let words = ["load", &url, "--json", "-", "--report"].map(Path::new).into_iter().chain([&*page]);
+    let output = Running::start(&client_bin(), words).wait(RUN_LIMIT);
+    let figures: Value = serde_json::from_slice(&output.stdout).expect("figures all the same");
+    let reason = figures["server_missing"].as_str().expect("a reason");
+    assert!(output.status.code() == Some(1) && figures["server"].is_null(), "{}", described(&output));
+    assert!(reason.starts_with("/metrics of the server cannot be read"), "{reason}");
+    assert!(std::fs::read_to_string(&page).is_ok_and(|text| text.contains("No figures: /metrics of the server")));
+}
+
+#[test]
+fn a_report_shows_what_the_server_used_and_how_errors_fell() {
+    let folder = TempDir::new();
+    let mut server_process = serve(&folder);
+    let page = folder.join("report.html");
+    let flags = format!(
+        "--clients 3 --path jump --view-rate settled --tolerance 0.25 --rate 2Mbit --seed 5 --report {}",
+        page.display()
+    );
+    let (code, figures, said) = load(&server_process, "sphere", &flags);
+    assert_eq!(code, 0, "{said}");
+    let at = |pointer: &str| figures.pointer(pointer).and_then(Value::as_f64).unwrap_or_else(|| panic!("{pointer}"));
+    // Views rest before the server takes their last ops back, so twenty of them are read about more than once.
+    assert!(at("/server/cpu_s") > 0.0 && at("/server/readings/0/at_s") < at("/server/readings/1/at_s"));
+    assert_eq!((at("/server/sessions_peak"), at("/server/readings/0/sessions")), (3.0, 0.0));
+    assert!(at("/server/session_bytes_per_session") > 0.0 && at("/server/clients_per_core") > 0.0);
+    assert_eq!((at("/server/refused"), at("/server/resets")), (0.0, 0.0));
+    assert!(figures.get("server_missing").is_none());
+
+    // Curves begin with the base and end where the views settled.
+    for view in ["first", "second"] {
+        assert_eq!(at(&format!("/{view}_view_error/clients")), 3.0);
+        for along in ["by_bytes", "by_time_ms"] {
+            let curve = figures[format!("{view}_view_error")][along].as_array().expect("a list");
+            let of = |point: &Value, name: &str| point[name].as_f64().expect("a number");
+            for pair in curve.windows(2) {
+                assert!(of(&pair[0], "at") < of(&pair[1], "at") && of(&pair[0], "p50") >= of(&pair[1], "p50"));
+            }
+            let last = curve.last().expect("not empty");
+            assert!(of(&curve[0], "p90") > 1.0 && of(last, "p90") <= 0.25 && of(last, "p90") > 0.0, "{view} {along}");
+        }
+    }
+    assert!(figures.get("error_curves_missing").is_none(), "{figures:#}");
+
+    let text = std::fs::read_to_string(&page).expect("the page is there");
+    assert!(text.contains("Error against bytes, second view") && text.contains("Memory of the server"));
+    assert_eq!(text.matches("<svg").count(), 12);
+    server_process.check_healthy();
 }

@@ -15,6 +15,7 @@ use super::LoadOptions;
 use super::pace::Pace;
 use super::path::{Path, Pose, poses};
 use super::totals::{Counters, FIRST_INTERVAL, Interval, Phase, SingleKind, SingleKindBatches, Totals};
+use super::trace::{Point, Trace};
 use crate::camera::{Bounds, Camera};
 use crate::core::{ClientConfig, ClientError, ClientSession, Stats};
 use crate::net::native::{Connection, Delivery, Event, NetError};
@@ -26,7 +27,7 @@ const RETRY: Duration = Duration::from_millis(10);
 
 /// Why a client ended early.
 #[derive(Debug, thiserror::Error)]
-enum Failure {
+pub(super) enum Failure {
     #[error(transparent)]
     Net(#[from] NetError),
     #[error(transparent)]
@@ -60,7 +61,7 @@ pub(super) async fn play(options: Arc<LoadOptions>, index: u64, shared: Shared) 
 }
 
 /// The error and what it comes from, in one line.
-fn chain(error: &dyn std::error::Error) -> String {
+pub(super) fn chain(error: &dyn std::error::Error) -> String {
     std::iter::successors(error.source(), |source| source.source())
         .fold(error.to_string(), |text, source| format!("{text}: {source}"))
 }
@@ -76,8 +77,14 @@ async fn run(options: &LoadOptions, index: u64, shared: &Shared) -> Result<(), F
         totals.connect.add(micros(connection.now().0));
     }
     let mut client = Client::new(options, rng, shared);
+    client.trace = (options.has_error_curves && Trace::includes(index, options.clients)).then(Trace::default);
     let result = client.drive(&mut connection).await;
     client.finish(&connection);
+    {
+        let mut totals = shared.lock();
+        totals.connected_time += connection.now().0;
+        totals.traces.extend(client.trace.take().map(|trace| (index, trace)));
+    }
     match &result {
         Ok(()) => connection.close(CloseCode::Normal).await,
         Err(Failure::Session(ClientError::InboxFull)) => connection.close(CloseCode::Internal).await,
@@ -108,6 +115,16 @@ struct Watched {
     stale_bytes: u64,
 }
 
+/// A session as all clients have it.
+pub(super) fn session_config(options: &LoadOptions) -> ClientConfig {
+    ClientConfig {
+        triangle_limit: options.detail.triangle_limit,
+        // The path says when a view is due.
+        view_interval: Duration::ZERO,
+        ..ClientConfig::default()
+    }
+}
+
 struct Client<'a> {
     options: &'a LoadOptions,
     rng: Rng,
@@ -133,21 +150,17 @@ struct Client<'a> {
     counted_in: u64,
     counted_out: u64,
     next_flush: Timestamp,
+    /// What the report's curves of error are made of.
+    trace: Option<Trace>,
 }
 
 impl<'a> Client<'a> {
     fn new(options: &'a LoadOptions, rng: Rng, shared: &'a Shared) -> Self {
-        let config = ClientConfig {
-            triangle_limit: options.detail.triangle_limit,
-            // The path says when a view is due.
-            view_interval: Duration::ZERO,
-            ..ClientConfig::default()
-        };
         Self {
             options,
             rng,
             shared,
-            session: ClientSession::new(config),
+            session: ClientSession::new(session_config(options)),
             bounds: None,
             poses: Vec::new(),
             began: Timestamp::default(),
@@ -162,6 +175,7 @@ impl<'a> Client<'a> {
             counted_in: 0,
             counted_out: 0,
             next_flush: Timestamp(FIRST_INTERVAL),
+            trace: None,
         }
     }
 
@@ -213,6 +227,7 @@ impl<'a> Client<'a> {
         let after = self.session.stats().clone();
         self.count_ops(&before, &after, bytes);
         self.watch(now, &before, &after, bytes);
+        self.trace(now);
         Ok(result?)
     }
 
@@ -282,6 +297,18 @@ impl<'a> Client<'a> {
         }
     }
 
+    /// Notes how far the newest view has come.
+    fn trace(&mut self, now: Timestamp) {
+        let point = self.point(now);
+        let Some(trace) = self.trace.as_mut().filter(|_| self.session.model().is_some()) else { return };
+        trace.note(point, self.session.settled().is_some());
+    }
+
+    fn point(&self, now: Timestamp) -> Point {
+        let stats = self.session.stats();
+        Point { after: now.0, bytes: self.counted_in, ops: stats.splits + stats.spawns }
+    }
+
     /// Sets the next view if it is due.
     fn move_on(&mut self, now: Timestamp) -> Result<(), ViewError> {
         if self.bounds.is_none() {
@@ -346,7 +373,9 @@ impl<'a> Client<'a> {
         if let Some(bounds) = self.bounds.as_ref().filter(|_| !self.poses.is_empty()) {
             camera.fit_near(bounds);
         }
-        let seq = self.session.set_view(now, camera.view(self.options.viewport, &detail))?;
+        let view = camera.view(self.options.viewport, &detail);
+        let traced = self.trace.is_some().then(|| view.clone());
+        let seq = self.session.set_view(now, view)?;
         if self.watched.is_some_and(|watched| watched.seq == seq) {
             return Ok(false);
         }
@@ -357,6 +386,11 @@ impl<'a> Client<'a> {
                 self.phase = Phase::Moving;
             }
         }
+        let point = self.point(now);
+        if let Some((trace, view)) = self.trace.as_mut().zip(traced) {
+            trace.begin(&view, point);
+        }
+        self.trace(now);
         self.counters.views += 1;
         self.unserved.push_back((seq, now));
         self.watched = Some(Watched { seq, set_at: now, is_settled: false, stale_bytes: 0 });

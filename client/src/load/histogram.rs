@@ -57,6 +57,13 @@ impl Histogram {
         self.max
     }
 
+    /// Value at every percent from 1 to 100, divided by `unit`; empty without samples.
+    pub(super) fn curve(&self, unit: f64) -> Vec<(f64, f64)> {
+        let most = if self.count > 0 { 100u32 } else { 0 };
+        let share = |percent: u32| f64::from(percent) / 100.0;
+        (1..=most).map(|percent| (share(percent), self.percentile(share(percent)) as f64 / unit)).collect()
+    }
+
     /// Percentiles, values divided by `unit`; `None` without samples.
     pub(super) fn summary(&self, unit: f64) -> Option<Percentiles> {
         let percentile = |share| self.percentile(share) as f64 / unit;
@@ -115,11 +122,17 @@ mod tests {
                 assert!(found >= exact && found - exact <= exact / STEPS, "{round}: {found} for {exact} at {share}");
             }
             let summary = histogram.summary(1000.0).unwrap();
+            let curve = histogram.curve(1000.0);
+            assert_eq!(
+                [curve[49], curve[89], curve[98], curve[99]],
+                [(0.5, summary.p50), (0.9, summary.p90), (0.99, summary.p99), (1.0, summary.max)]
+            );
+            assert!(curve.is_sorted_by(|a, b| a.1 <= b.1));
             assert_eq!(summary.max, *samples.iter().max().unwrap() as f64 / 1000.0);
             let mean = samples.iter().map(|&sample| sample as f64).sum::<f64>() / samples.len() as f64;
             assert!((summary.mean * 1000.0 / mean.max(1e-9) - 1.0).abs() < 1e-9 || mean == 0.0);
         }
-        assert_eq!(Histogram::default().summary(1.0), None);
+        assert_eq!((Histogram::default().summary(1.0), Histogram::default().curve(1.0)), (None, Vec::new()));
     }
 
     #[test]

@@ -3,30 +3,39 @@
 //! Each client is a task with the session core and the socket of the real client, behind a link of its own; nothing is drawn.
 //!
 //! - [`path`]: where cameras go. [`pace`]: when. `client`: one client. `totals`, `histogram`: what they measure, in bounded memory.
-//! - [`report`]: the figures for people and machines.
+//! - [`metrics`]: what the server says about itself meanwhile. [`trace`], `ladder`: how the error of a view falls.
+//! - [`report`]: the figures for people and machines. [`page`], `plot`: the same as a page with plots.
 //!
 //! Links are in [`net`](crate::net), below the WebSocket.
 
 mod client;
 mod histogram;
+mod ladder;
+pub mod metrics;
 pub mod pace;
+pub mod page;
 pub mod path;
+mod plot;
 pub mod report;
 mod totals;
+pub mod trace;
 
 use std::io::{self, IsTerminal, Write};
 use std::sync::Arc;
 use std::time::Duration;
 
+use tokio::sync::Notify;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
 
 use crate::camera::{Detail, Viewport};
 use crate::net::link::LinkShape;
 use crate::net::target::Target;
-use client::{Shared, play};
+use client::{Shared, chain, play};
+use ladder::error_curves;
+use metrics::Reader;
 use pace::Pace;
-use path::Path;
+use path::{Path, PathFile};
 use report::Report;
 
 /// Time between two progress lines.
@@ -46,6 +55,8 @@ pub struct LoadOptions {
     pub duration: Option<Duration>,
     /// Where cameras go.
     pub path: Path,
+    /// The file that a recorded one comes from.
+    pub path_file: Option<PathFile>,
     /// When.
     pub pace: Pace,
     /// Size of the images that nobody draws.
@@ -60,6 +71,8 @@ pub struct LoadOptions {
     pub seed: u64,
     /// Threads that all clients share; 0 for one per core.
     pub threads: usize,
+    /// Whether to find out how the error fell, which asks the server for some views again after the run.
+    pub has_error_curves: bool,
 }
 
 /// Runs all clients to their end. Blocks this thread; progress goes to standard error if that is a terminal.
@@ -76,6 +89,10 @@ pub fn run(options: LoadOptions) -> io::Result<Report> {
 }
 
 async fn run_clients(options: Arc<LoadOptions>) -> Report {
+    let mut reader = Reader::new(&options.target, Instant::now());
+    reader.begin().await;
+    let stop = Arc::new(Notify::new());
+    let reading = tokio::spawn(reader.go_on(Arc::clone(&stop)));
     let start = Instant::now();
     let shared = Shared::default();
     let mut clients = JoinSet::new();
@@ -102,8 +119,19 @@ async fn run_clients(options: Arc<LoadOptions>) -> Report {
     }
     progress.clear();
     let elapsed = start.elapsed();
-    let totals = std::mem::take(&mut *shared.lock());
-    Report::new(&options, &totals, elapsed)
+    let mut totals = std::mem::take(&mut *shared.lock());
+    stop.notify_one();
+    let server = match reading.await {
+        Ok(reader) => reader.end(totals.connected, totals.connected_time).await.map_err(|error| chain(&error)),
+        Err(error) => Err(format!("a bug of this program: {error}")),
+    };
+    let mut report = Report::new(&options, &totals, elapsed, server);
+    if options.has_error_curves {
+        // In the order of their numbers: the order in which clients end is no part of the result.
+        totals.traces.sort_by_key(|(index, _)| *index);
+        report.set_errors(error_curves(&options, totals.traces.into_iter().map(|(_, trace)| trace).collect()).await);
+    }
+    report
 }
 
 /// A line on the terminal that is written again and again.

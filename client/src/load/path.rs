@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use fastrand::Rng;
 use glam::DVec3;
+use serde::Serialize;
 
 use crate::camera::recording::Recording;
 use crate::camera::{Bounds, Camera};
@@ -37,6 +38,17 @@ pub enum Path {
     Jump,
     /// As recorded.
     Recorded(Arc<Recording>),
+}
+
+/// Where a recorded path comes from, for the record.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct PathFile {
+    /// Its name as it was given.
+    pub name: String,
+    /// XXH3 of its bytes, in hexadecimal digits.
+    pub xxh3: String,
+    /// Views.
+    pub views: usize,
 }
 
 /// Eye and the point looked at, in model units.

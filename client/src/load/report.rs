@@ -8,10 +8,13 @@ use serde::Serialize;
 
 use super::LoadOptions;
 pub use super::histogram::Percentiles;
+use super::ladder::ErrorCurves;
+pub use super::metrics::ServerFigures;
 use super::pace::Pace;
-use super::path::Path;
+use super::path::{Path, PathFile};
 use super::totals::{Counters, Interval, Totals};
 pub use super::totals::{SingleKind, SingleKindBatches};
+use super::trace::ErrorCurve;
 use crate::net::link::LinkRate;
 
 /// What was asked for.
@@ -27,6 +30,8 @@ pub struct Asked {
     pub duration_s: Option<f64>,
     /// Name of the path.
     pub path: &'static str,
+    /// Where a recorded one comes from.
+    pub path_file: Option<PathFile>,
     /// Views per second, `None` if views follow the recording or wait until the one before has settled.
     pub view_rate: Option<f64>,
     /// Whether they wait.
@@ -116,6 +121,19 @@ pub struct Moment {
     pub settled: Option<f64>,
 }
 
+/// Percentile curves: share of samples, from 0.01 to 1, and the least value that so many do not exceed.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Curves {
+    pub(super) connect_ms: Vec<(f64, f64)>,
+    pub(super) first_image_ms: Vec<(f64, f64)>,
+    pub(super) first_image_bytes: Vec<(f64, f64)>,
+    pub(super) first_settled_ms: Vec<(f64, f64)>,
+    pub(super) first_settled_bytes: Vec<(f64, f64)>,
+    pub(super) view_to_first_op_ms: Vec<(f64, f64)>,
+    pub(super) view_to_settled_ms: Vec<(f64, f64)>,
+    pub(super) stale_bytes: Vec<(f64, f64)>,
+}
+
 /// All figures. Times are in milliseconds. A percentile that has no samples is absent.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
@@ -163,13 +181,38 @@ pub struct Report {
     pub resets: u64,
     /// Batches dropped until the server began again.
     pub dropped_batches: u64,
+    /// What the server says about itself, if it does.
+    pub server: Option<ServerFigures>,
+    /// Why not.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub server_missing: Option<String>,
+    /// How the error of clients' first views fell, if that was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub first_view_error: Option<ErrorCurve>,
+    /// Likewise for second views that were set when the first had settled.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub second_view_error: Option<ErrorCurve>,
+    /// Why one of them is not there, or not over all clients.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub error_curves_missing: Option<String>,
     /// What happened when.
     pub timeline: Vec<Moment>,
+    #[serde(skip)]
+    pub(super) curves: Curves,
 }
 
 impl Report {
-    pub(super) fn new(options: &LoadOptions, totals: &Totals, elapsed: Duration) -> Self {
+    pub(super) fn new(
+        options: &LoadOptions,
+        totals: &Totals,
+        elapsed: Duration,
+        server: Result<ServerFigures, String>,
+    ) -> Self {
         const MILLI: f64 = 1e3;
+        let (server, server_missing) = match server {
+            Ok(figures) => (Some(figures), None),
+            Err(reason) => (None, Some(reason)),
+        };
         Self {
             options: Asked::new(options),
             model: totals.model.clone(),
@@ -199,11 +242,66 @@ impl Report {
             limits_exceeded: totals.limits_exceeded,
             resets: totals.resets,
             dropped_batches: totals.dropped_batches,
+            server,
+            server_missing,
+            first_view_error: None,
+            second_view_error: None,
+            error_curves_missing: None,
+            curves: Curves {
+                connect_ms: totals.connect.curve(MILLI),
+                first_image_ms: totals.first_image.curve(MILLI),
+                first_image_bytes: totals.first_image_bytes.curve(1.0),
+                first_settled_ms: totals.first_settled.curve(MILLI),
+                first_settled_bytes: totals.first_settled_bytes.curve(1.0),
+                view_to_first_op_ms: totals.view_to_first_op.curve(MILLI),
+                view_to_settled_ms: totals.view_to_settled.curve(MILLI),
+                stale_bytes: totals.stale_bytes.curve(1.0),
+            },
             timeline: (1..)
                 .zip(&totals.timeline.intervals)
                 .map(|(number, interval)| Moment::new(totals.timeline.length * number, interval))
                 .collect(),
         }
+    }
+
+    pub(super) fn set_errors(&mut self, errors: ErrorCurves) {
+        let ErrorCurves { first, second, missing } = errors;
+        (self.first_view_error, self.second_view_error, self.error_curves_missing) = (first, second, missing);
+    }
+
+    /// Names, digits behind the point and figures, as they stand in tables.
+    pub(super) fn percentiles(&self) -> [(&'static str, usize, &Option<Percentiles>); 9] {
+        [
+            ("connected, ms", 1, &self.connect_ms),
+            ("first image, ms", 1, &self.first_image_ms),
+            ("first image, bytes", 0, &self.first_image_bytes),
+            ("first settled, ms", 1, &self.first_settled_ms),
+            ("first settled, bytes", 0, &self.first_settled_bytes),
+            ("view to first op, ms", 1, &self.view_to_first_op_ms),
+            ("view to settled, ms", 1, &self.view_to_settled_ms),
+            ("stale bytes after a view", 0, &self.stale_bytes),
+            ("error when settled, px", 3, &self.settled_error_px),
+        ]
+    }
+
+    /// The server's figures as they stand in tables; none if there are none.
+    pub(super) fn server_rows(&self) -> Vec<(&'static str, String)> {
+        let Some(server) = &self.server else { return Vec::new() };
+        let number = |value: Option<f64>, digits: usize| value.map_or("-".into(), |value| format!("{value:.digits$}"));
+        let mega = |bytes: f64| format!("{:.1}", bytes / 1e6);
+        vec![
+            ("server cpu, s", number(Some(server.cpu_s), 2)),
+            ("  per client, s", number(server.cpu_s_per_client, 4)),
+            ("  per client and s, ms", number(server.cpu_s_per_client_s.map(|cpu| cpu * 1e3), 3)),
+            ("clients per core", number(server.clients_per_core, 0)),
+            ("resident before, MB", mega(server.resident_bytes_before)),
+            ("  at most, MB", mega(server.resident_bytes_peak)),
+            ("  after, MB", mega(server.resident_bytes_after)),
+            ("sessions at most", number(Some(server.sessions_peak), 0)),
+            ("  kB for each", number(server.session_bytes_per_session.map(|bytes| bytes / 1e3), 1)),
+            ("refused", number(Some(server.refused), 0)),
+            ("resets", number(Some(server.resets), 0)),
+        ]
     }
 
     /// What went wrong, in words; empty if nothing did.
@@ -234,6 +332,7 @@ impl Asked {
                 Path::Jump => "jump",
                 Path::Recorded(_) => "recorded",
             },
+            path_file: options.path_file.clone(),
             view_rate: match options.pace {
                 Pace::PerSecond(rate) => Some(rate),
                 Pace::Settled | Pace::Recorded => None,
@@ -289,17 +388,7 @@ impl fmt::Display for Report {
         writeln!(f)?;
         let head = ["samples", "mean", "p50", "p90", "p99", "max"];
         writeln!(f, "{:<28}{}", "", head.map(|word| format!("{word:>12}")).concat())?;
-        for (name, digits, percentiles) in [
-            ("connected, ms", 1, &self.connect_ms),
-            ("first image, ms", 1, &self.first_image_ms),
-            ("first image, bytes", 0, &self.first_image_bytes),
-            ("first settled, ms", 1, &self.first_settled_ms),
-            ("first settled, bytes", 0, &self.first_settled_bytes),
-            ("view to first op, ms", 1, &self.view_to_first_op_ms),
-            ("view to settled, ms", 1, &self.view_to_settled_ms),
-            ("stale bytes after a view", 0, &self.stale_bytes),
-            ("error when settled, px", 3, &self.settled_error_px),
-        ] {
+        for (name, digits, percentiles) in self.percentiles() {
             let Some(Percentiles { count, mean, p50, p90, p99, max }) = percentiles else {
                 writeln!(f, "{name:<28}{:>12}", "none")?;
                 continue;
@@ -331,6 +420,13 @@ impl fmt::Display for Report {
         row("bits per op, coded", &|part| number(part.coded_bits_per_op, 2))?;
         row("core, k splits per cpu s", &|part| number(part.splits_per_core_cpu_s.map(|rate| rate / 1e3), 0))?;
         row("core, k ops per cpu s", &|part| number(part.ops_per_core_cpu_s.map(|rate| rate / 1e3), 0))?;
+        writeln!(f)?;
+        for (name, value) in self.server_rows() {
+            writeln!(f, "{name:<28}{value:>12}")?;
+        }
+        if let Some(reason) = &self.server_missing {
+            writeln!(f, "no figures of the server: {reason}")?;
+        }
         writeln!(f)?;
         let SingleKindBatches { fresh_splits, cached_splits, collapses } = &self.single_kind_batches;
         for (name, kind) in [("fresh splits", fresh_splits), ("cached splits", cached_splits), ("collapses", collapses)]

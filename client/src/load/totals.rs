@@ -6,6 +6,7 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::histogram::Histogram;
+use super::trace::Trace;
 
 /// Intervals of a timeline at most; beyond that two become one.
 const MAX_INTERVALS: usize = 240;
@@ -244,6 +245,11 @@ pub(super) struct Totals {
     pub(super) moving: Counters,
     pub(super) single_kind: SingleKindBatches,
     pub(super) timeline: Timeline,
+
+    /// Time that clients had a stream or were getting theirs, of all that got one.
+    pub(super) connected_time: Duration,
+    /// Of a few clients, with their numbers.
+    pub(super) traces: Vec<(u64, Trace)>,
 
     pub(super) max_triangles_seen: u32,
     pub(super) limits_exceeded: u64,

@@ -2,9 +2,10 @@
 //!
 //! A [`Connection`] owns the socket and the clock. It is driven by one task: [`send`](Connection::send) puts a frame on its
 //! way, [`next`](Connection::next) does all the waiting. The link lies below the WebSocket, so that every byte takes its
-//! time and a slow one makes the server wait.
+//! time and a slow one makes the server wait. [`get`] asks for small pages beside it.
 
 mod counted;
+pub mod get;
 mod shaped;
 
 use std::collections::VecDeque;

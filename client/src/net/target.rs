@@ -80,6 +80,14 @@ fn parse_authority(authority: &str) -> Option<(String, u16)> {
 }
 
 impl Target {
+    /// Path of the server's page of metrics, which lies beside `/models`. A query is dropped.
+    pub fn metrics_path(&self) -> String {
+        let path = self.path.split('?').next().unwrap_or_default();
+        let model = path.strip_suffix("/stream").and_then(|path| path.rsplit_once('/'));
+        let before = model.and_then(|(models, _)| models.strip_suffix("models")).unwrap_or("/");
+        format!("{before}metrics")
+    }
+
     /// `host:port`, with brackets around an IPv6 address.
     pub fn authority(&self) -> String {
         match self.host.contains(':') {
@@ -115,6 +123,14 @@ mod tests {
         check("http://[::1]:9/models/x", "ws://[::1]:9/models/x/stream", "x");
         check("http://h/scans/models/x?token=1#view", "ws://h:80/scans/models/x/stream?token=1", "x");
         check("http://h/models/stream", "ws://h:80/models/stream/stream", "stream");
+    }
+
+    #[test]
+    fn metrics_lie_beside_the_models() {
+        let check = |text: &str, path: &str| assert_eq!(text.parse::<Target>().unwrap().metrics_path(), path);
+        check("http://h/models/x", "/metrics");
+        check("http://h/scans/models/x?token=1", "/scans/metrics");
+        check("http://h/models/models", "/metrics");
     }
 
     #[test]
