@@ -16,6 +16,8 @@ mod fill;
 mod motion;
 mod rows;
 
+use std::collections::HashMap;
+
 use glam::DQuat;
 use lodestream_protocol::view::View;
 
@@ -95,7 +97,7 @@ struct Context<'a> {
 struct Pages<'a> {
     model: &'a PackedModel,
     access: PageAccess,
-    missing: Vec<(u32, PageId)>,
+    missing: HashMap<PageId, u32>,
 }
 
 impl Pages<'_> {
@@ -104,7 +106,8 @@ impl Pages<'_> {
         if self.access == PageAccess::Blocking || self.model.is_ready(page) {
             return true;
         }
-        self.missing.push((priority.to_bits(), page));
+        let most = self.missing.entry(page).or_default();
+        *most = (*most).max(priority.to_bits());
         false
     }
 
@@ -190,7 +193,7 @@ impl Front {
         view: &View,
         access: PageAccess,
     ) -> Result<Update, PackError> {
-        let pages = Pages { model, access, missing: Vec::new() };
+        let pages = Pages { model, access, missing: HashMap::new() };
         let mut context = Context { model, scorer, pages, limit: view.triangle_limit, tested: 0 };
         self.begin(&mut context, view);
         let filled = self.adjust(&mut context)?;
@@ -274,6 +277,10 @@ impl Front {
         loop {
             steps += 1;
             self.refresh(context)?;
+            if !context.pages.missing.is_empty() && u64::from(limit) < context.model.info().triangles {
+                // The set is of no use then, see `Goal::aim`, and no threshold would fit.
+                return Ok(None);
+            }
             let share = f64::from(self.triangles) / f64::from(limit.max(1));
             let factor = (share / AIM).powf(THRESHOLD_POWER) as f32;
             if self.triangles > limit {
@@ -641,12 +648,12 @@ impl Iterator for Children {
     }
 }
 
-/// Each page once, the most important first.
-fn ordered(mut missing: Vec<(u32, PageId)>) -> Vec<PageId> {
-    missing.sort_unstable_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
-    let mut seen = std::collections::HashSet::new();
-    let pages = missing.into_iter().map(|(_, page)| page).filter(|&page| seen.insert(page));
-    pages.take(super::select::MAX_MISSING).collect()
+/// The most important first.
+fn ordered(missing: HashMap<PageId, u32>) -> Vec<PageId> {
+    let mut missing: Vec<(PageId, u32)> = missing.into_iter().collect();
+    missing.sort_unstable_by(|a, b| b.1.cmp(&a.1).then(a.0.cmp(&b.0)));
+    missing.truncate(super::select::MAX_MISSING);
+    missing.into_iter().map(|(page, _)| page).collect()
 }
 
 #[cfg(test)]
