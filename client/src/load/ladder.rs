@@ -16,7 +16,7 @@ use crate::core::ClientSession;
 use crate::net::link::LinkShape;
 use crate::net::native::{Connection, Event};
 
-/// The server sends by bands whose most important op matters at most so many times as much as the least.
+/// The server sends by bands, octaves of what ops matter (`order` in the server's session).
 const BAND_RATIO: f32 = 2.0;
 /// Above every error: a tolerance at which nothing is wanted.
 const LARGEST_TOLERANCE_PX: f32 = 1e6;
