@@ -68,6 +68,10 @@ impl Goal {
             return self.walk(model, access, view, mirror, &scorer);
         }
         let update = self.front.update(model, &scorer, view, access)?;
+        if update.has_failed {
+            self.front = Front::default();
+            return self.walk(model, access, view, mirror, &scorer);
+        }
         let may_bind = u64::from(view.triangle_limit) < model.info().triangles;
         if may_bind && !update.missing.is_empty() {
             return self.walk(model, access, view, mirror, &scorer);

@@ -22,6 +22,8 @@ pub(super) struct Filled {
     pub(super) lambda: f32,
     /// Largest priority of one.
     pub(super) error: f32,
+    /// Nothing could be filled, see [`Update`](super::Update).
+    pub(super) has_failed: bool,
 }
 
 impl Filled {

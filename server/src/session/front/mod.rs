@@ -37,6 +37,8 @@ const AIM: f64 = 0.994;
 const THRESHOLD_POWER: f64 = 0.6;
 /// Where a threshold of zero is raised to.
 const SMALLEST_THRESHOLD: f32 = 1.0 / 1024.0;
+/// Steps after which nothing is wanted for its own sake, rather than to look for a threshold any longer.
+const MOST_RAISES: u32 = 80;
 /// A closure that outgrows the limit by this share is given up and the threshold raised.
 const OVERSHOOT: u32 = 4;
 
@@ -53,6 +55,8 @@ pub(crate) struct Update {
     pub(crate) is_limited: bool,
     /// Pages without which the set is a part of P*, those of the most important ops first.
     pub(crate) missing: Vec<PageId>,
+    /// No threshold was found: the front is to be dropped.
+    pub(crate) has_failed: bool,
     /// Rows that were looked at, for measurements.
     pub(crate) tested: u32,
 }
@@ -150,9 +154,10 @@ impl Earliest {
 
     /// The op stays wanted.
     fn stays_in(&mut self, probe: &Probe, priority: f32, threshold: f32, is_at_tolerance: bool) {
-        let guard = if is_at_tolerance { threshold } else { (threshold * priority).sqrt().clamp(threshold, priority) };
+        let guard =
+            if is_at_tolerance { threshold } else { (threshold * priority).sqrt().max(threshold).min(priority) };
         self.add(probe.distance, probe.stays_over(f64::from(guard)));
-        self.over = self.over.min(guard);
+        self.over = self.over.min(guard.min(f32::MAX));
     }
 
     fn due(&self, motion: &Motion) -> (u8, Due) {
@@ -203,6 +208,7 @@ impl Front {
             tested: context.tested,
             ..Update::default()
         };
+        out.has_failed = filled.is_some_and(|filled| filled.has_failed);
         match filled {
             Some(filled) if filled.is_limited => {
                 (out.lambda, out.error, out.is_limited) = (filled.lambda, filled.error, true)
@@ -277,6 +283,9 @@ impl Front {
         loop {
             steps += 1;
             self.refresh(context)?;
+            if steps > 2 * MOST_RAISES {
+                return Ok(Some(fill::Filled { has_failed: true, ..fill::Filled::default() }));
+            }
             if !context.pages.missing.is_empty() && u64::from(limit) < context.model.info().triangles {
                 // The set is of no use then, see `Goal::aim`, and no threshold would fit.
                 return Ok(None);
@@ -287,14 +296,19 @@ impl Front {
                 too_low = Some(self.threshold);
                 let is_far = self.triangles > limit.saturating_add(limit / OVERSHOOT) || steps > 40;
                 let factor = if is_far { 2.0 } else { factor.clamp(1.005, 2.0) };
-                self.threshold = (self.threshold * factor).clamp(SMALLEST_THRESHOLD, f32::MAX);
+                self.threshold = (self.threshold * factor).max(SMALLEST_THRESHOLD);
+                if steps > MOST_RAISES {
+                    // A view may make sizes of any magnitude, infinite ones too: nothing is wanted for its own sake then.
+                    self.threshold = f32::INFINITY;
+                    self.rows.dues.fill(Due::NOW);
+                }
                 continue;
             }
             if self.threshold <= tolerance {
                 return Ok(None);
             }
             if share < LOW_WATER && steps < 64 && !has_fitted {
-                let highest = if self.threshold == f32::MAX { self.highest_root(context)? } else { f32::MAX };
+                let highest = if self.threshold >= f32::MAX { self.highest_root(context)? } else { f32::MAX };
                 let next = (self.threshold * factor.max(0.5)).min(highest);
                 let next = next.max(too_low.map_or(tolerance, |low| (low * self.threshold).sqrt()));
                 if next < 0.998 * self.threshold {

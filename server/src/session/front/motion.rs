@@ -53,7 +53,8 @@ impl Motion {
         }
         self.last = Some((eye, rotation));
         for (sum, &exact) in self.sums.iter_mut().zip(&self.exact) {
-            *sum = up(exact);
+            // Eyes may be anywhere a number can be.
+            *sum = if exact.is_nan() { f32::INFINITY } else { up(exact) };
         }
         ended
     }
