@@ -378,9 +378,11 @@ impl Front {
                 self.work.push(op);
             }
         }
+        // It may have been over the limit before: then it shrinks.
+        let ceiling = context.limit.saturating_add(context.limit / OVERSHOOT).max(self.triangles);
         while let Some(op) = self.work.pop() {
             self.look_at(context, op)?;
-            if self.triangles > context.limit.saturating_add(context.limit / OVERSHOOT) {
+            if self.triangles > ceiling {
                 // The threshold is going to be raised: what is left is looked at then.
                 for op in self.work.drain(..) {
                     if let Some(row) = self.rows.find(op) {
