@@ -60,7 +60,7 @@ pub struct Reading {
     pub resident_bytes: f64,
     /// Memory of all sessions in bytes, by their own account.
     pub session_bytes: f64,
-    /// Sessions, detached ones included.
+    /// Sessions.
     pub sessions: f64,
     /// Streams refused since the server began.
     pub refused: f64,

@@ -80,9 +80,6 @@ fn activity_label(activity: Activity) -> &'static str {
     }
 }
 
-/// Sessions that lost their connection and wait to be resumed, as a label.
-const DETACHED: &str = "detached";
-
 /// Gauges that are read when somebody asks, from whoever owns the numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Readings {
@@ -103,7 +100,6 @@ pub struct Metrics {
     admitted: IntCounter,
     refused: IntCounterVec,
     closed: IntCounterVec,
-    resumed: IntCounter,
     bytes_sent: IntCounter,
     bytes_received: IntCounter,
     batches: IntCounter,
@@ -141,7 +137,6 @@ impl Metrics {
         for activity in [Activity::Moving, Activity::Settled, Activity::Resting] {
             sessions.with_label_values(&[activity_label(activity)]);
         }
-        sessions.with_label_values(&[DETACHED]);
         let refused = counters(&registry, "lodestream_refused_total", "Streams refused, by reason.", "reason");
         Refusal::ALL.iter().for_each(|reason| drop(refused.with_label_values(&[reason.label()])));
         let closed = counters(&registry, "lodestream_closed_total", "Streams closed, by close code.", "code");
@@ -160,7 +155,6 @@ impl Metrics {
             closed,
             session_bytes: gauge("lodestream_session_memory_bytes", "Memory that sessions hold."),
             admitted: counter("lodestream_admitted_total", "Streams opened."),
-            resumed: counter("lodestream_resumed_total", "Sessions that went on over a new connection."),
             bytes_sent: counter("lodestream_sent_bytes_total", "Bytes of frames sent."),
             bytes_received: counter("lodestream_received_bytes_total", "Bytes of frames received."),
             batches: counter("lodestream_batches_total", "Batches sent."),
@@ -201,11 +195,6 @@ impl Metrics {
     /// A stream was closed.
     pub fn note_closed(&self, code: CloseCode) {
         self.closed.with_label_values(&[close_label(code)]).inc();
-    }
-
-    /// A session goes on over a new connection.
-    pub fn note_resumed(&self) {
-        self.resumed.inc();
     }
 
     /// A frame came in.
@@ -254,7 +243,6 @@ impl Metrics {
 pub struct Account {
     metrics: Arc<Metrics>,
     counted: SessionStats,
-    is_detached: bool,
 }
 
 impl Account {
@@ -262,7 +250,7 @@ impl Account {
     pub fn new(metrics: Arc<Metrics>) -> Self {
         let counted = SessionStats::default();
         metrics.sessions.with_label_values(&[activity_label(counted.activity)]).inc();
-        Self { metrics, counted, is_detached: false }
+        Self { metrics, counted }
     }
 
     /// The metrics that this is a share of.
@@ -299,24 +287,14 @@ impl Account {
         if stats.heap_bytes != old.heap_bytes {
             sums.session_bytes.add(to_gauge(stats.heap_bytes) - to_gauge(old.heap_bytes));
         }
-        if stats.activity != old.activity && !self.is_detached {
+        if stats.activity != old.activity {
             self.state(old.activity).dec();
             self.state(stats.activity).inc();
         }
     }
 
-    /// Whether the session waits for a client to come back.
-    pub fn set_detached(&mut self, is_detached: bool) {
-        if self.is_detached != is_detached {
-            self.state(self.counted.activity).dec();
-            self.is_detached = is_detached;
-            self.state(self.counted.activity).inc();
-        }
-    }
-
     fn state(&self, activity: Activity) -> IntGauge {
-        let label = if self.is_detached { DETACHED } else { activity_label(activity) };
-        self.metrics.sessions.with_label_values(&[label])
+        self.metrics.sessions.with_label_values(&[activity_label(activity)])
     }
 }
 
@@ -416,7 +394,6 @@ mod tests {
         account.update(stats);
         account.update(SessionStats { bytes_sent: 1500, heap_bytes: 200, activity: Activity::Resting, ..stats });
         other.update(SessionStats { heap_bytes: 7, ..SessionStats::default() });
-        other.set_detached(true);
         let text = metrics.render(Readings { open_models: 3, pages_read: 9, panics: 1 });
         for (series, expected) in [
             ("lodestream_sent_bytes_total", 1500.0),
@@ -424,8 +401,7 @@ mod tests {
             ("lodestream_ops_total{kind=\"cached_split\"}", 10.0),
             ("lodestream_session_memory_bytes", 207.0),
             ("lodestream_sessions{state=\"resting\"}", 1.0),
-            ("lodestream_sessions{state=\"detached\"}", 1.0),
-            ("lodestream_sessions{state=\"moving\"}", 0.0),
+            ("lodestream_sessions{state=\"moving\"}", 1.0),
             ("lodestream_open_models", 3.0),
             ("lodestream_pages_read_total", 9.0),
             ("lodestream_panics_total", 1.0),
@@ -438,7 +414,7 @@ mod tests {
         let text = metrics.render(Readings::default());
         assert_eq!(value(&text, "lodestream_session_memory_bytes"), 0.0);
         assert_eq!(value(&text, "lodestream_sessions{state=\"resting\"}"), 0.0);
-        assert_eq!(value(&text, "lodestream_sessions{state=\"detached\"}"), 0.0);
+        assert_eq!(value(&text, "lodestream_sessions{state=\"moving\"}"), 0.0);
         assert_eq!(value(&text, "lodestream_sent_bytes_total"), 1500.0, "counters stay");
         assert_eq!(value(&text, "lodestream_pages_read_total"), 9.0);
     }

@@ -10,8 +10,9 @@
 //!
 //! A session whose view has settled rests after a while: the mirror goes, and comes back with the next view (`rest`).
 //!
-//! `score` judges one op for a view, `select` finds the set of ops that a view asks for, `mirror` keeps the client's state
-//! and encodes, `pacer` says how much may be on its way.
+//! `score` judges one op for a view, `front` keeps the set of ops that a view asks for from view to view, `select` finds it anew,
+//! `goal` compares it with what the client holds, `order` says what goes first, `mirror` keeps the client's state and encodes,
+//! `pacer` says how much may be on its way.
 
 mod front;
 mod goal;

@@ -138,3 +138,24 @@ fn fronts_hold_what_a_walk_of_the_whole_view_finds() {
     }
     assert!(limited > 300 && free > 300, "{limited} limited views and {free} others");
 }
+
+#[test]
+fn views_in_which_sizes_are_infinite_come_to_an_end() {
+    let (dag, complete) = random_dag(&DagOptions { splits: 3000, ..DagOptions::default() });
+    let model = PackedModel::from_vec(write_to_vec(&dag, &complete, &Metadata::default()).unwrap()).unwrap();
+    let mut front = Front::default();
+    let mut camera = Camera::new(&model, 0);
+    for (near, limit) in [(1e-300, 500), (1.0, 500), (1e-300, 200), (1e-300, UNLIMITED_TRIANGLES)] {
+        camera.view.near = near;
+        camera.view.projection = Projection::Perspective { fov_y_rad: 2e-6 };
+        camera.view.viewport_height_px = 1 << 20;
+        camera.view.silhouette_factor = 1e6;
+        camera.view.triangle_limit = model.info().smallest_limit.saturating_add(limit);
+        let view = View { eye: camera.middle.to_array(), ..camera.view.clone() };
+        let scorer = Scorer::new(&view, model.info());
+        let expected = select(&model, &scorer, view.triangle_limit, PageAccess::Blocking).unwrap();
+        front.update(&model, &scorer, &view, PageAccess::Blocking).unwrap();
+        let found: BTreeSet<u32> = front.members().collect();
+        assert_eq!(found, expected.ops.into_iter().collect(), "near {near}, limit {limit}");
+    }
+}
