@@ -4,7 +4,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use lodestream_protocol::quant::Lattice;
-use lodestream_server::pack::record::{Bounds, Cone, CutRef, Dag, Magnitude, NO_OP, Patch, SpawnRecord, SplitRecord};
+use lodestream_server::pack::record::{
+    Bounds, Cone, CutRef, Dag, Magnitude, NO_OP, Patch, SpawnRecord, SplitRecord, VERTEX_OPS,
+};
 use lodestream_server::pack::{CompleteMesh, Metadata, PackedModel, extract_complete, verify, write_to_vec};
 
 /// A tetrahedron, one vertex of which is split twice, and a triangle that spawns and is split at its boundary.
@@ -34,6 +36,7 @@ fn tiny() -> (Dag, CompleteMesh, Metadata) {
         color: color(&position),
         s_move: [0; 3],
         s_color_move: [0; 3],
+        vertex_ops: [NO_OP; VERTEX_OPS],
     };
     let solid = patch(
         vec![[0, 0, 0], [4095, 0, 0], [0, 4095, 0], [0, 0, 4095]],
@@ -48,6 +51,7 @@ fn tiny() -> (Dag, CompleteMesh, Metadata) {
         lattice: Lattice { origin: [-1.0, 2.0, 1e6], step: 0.25, bits: 12 },
         has_colors: true,
         is_open: true,
+        by_vertices: false,
         base: solid,
         spawns: vec![SpawnRecord { bounds: bounds([1100, 1100, 0], 700.0, 600.0, 255), patch: triangle }],
         splits: vec![

@@ -274,8 +274,8 @@ fn parents_first(model: &PackedModel, op: u32, present: &BTreeSet<u32>, out: &mu
     if present.contains(&op) || out.contains(&op) {
         return;
     }
-    for parent in parents(model, op) {
-        parents_first(model, parent, present, out);
+    for &first in model.prerequisites(op).unwrap().as_slice() {
+        parents_first(model, first, present, out);
     }
     out.push(op);
 }

@@ -11,6 +11,7 @@ use lodestream_protocol::op::{OpState, decode_batch, random_batch};
 use lodestream_protocol::testing::{OperationRng, base_meshes, check_replica};
 use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
 use lodestream_server::ingest::simplify::{BuildOptions, PlacementChoice, Precision};
+use lodestream_server::ingest::{Dependencies, Rules};
 use lodestream_server::mesh::TriMesh;
 
 use crate::meshes::{self, every_topology};
@@ -67,14 +68,16 @@ impl Soak {
             ]),
         }
         let mut subjects = Vec::new();
+        let vertices = Rules { dependencies: Dependencies::Vertices, ..Rules::default() };
         for (name, mesh) in kinds {
             for (i, placement) in (0..).zip(PlacementChoice::ALL) {
                 let bits = [None, Some(12), Some(14)][(subjects.len() + i) % 3];
                 let precision = if subjects.len() % 2 == 0 { Precision::Visual } else { Precision::Exact };
-                let options = BuildOptions { bits, placement, precision, ..BuildOptions::default() };
+                let rules = [Rules::default(), vertices, Rules::PAPER][(subjects.len() / 2 + i) % 3];
+                let options = BuildOptions { bits, placement, precision, rules, ..BuildOptions::default() };
                 let test = TestModel::with_options(mesh.clone(), &options);
                 subjects.push(Subject {
-                    name: format!("{name}, {placement:?}, {precision:?}"),
+                    name: format!("{name}, {placement:?}, {precision:?}, {rules:?}"),
                     test,
                     complete: OnceLock::new(),
                 });

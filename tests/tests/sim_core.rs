@@ -8,6 +8,7 @@ use glam::DVec3;
 use lodestream_protocol::testing::check_replica;
 use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
 use lodestream_server::ingest::simplify::{BuildOptions, PlacementChoice};
+use lodestream_server::ingest::{Dependencies, Rules};
 use lodestream_server::pack::PAGE_OPS;
 use lodestream_server::session::score::Scorer;
 use lodestream_tests::meshes::{self, every_topology};
@@ -15,14 +16,18 @@ use lodestream_tests::model::TestModel;
 use lodestream_tests::naive::{CompleteMesh, Walker, keyed, ops_for_view, parents, triangles};
 use lodestream_tests::sim::{Disk, LinkShape, Pair, PairConfig, random_view};
 
-/// Every generated mesh in every placement.
+/// Every generated mesh in every placement, and by the paper's rules.
 fn every_model(bits: Option<u8>) -> impl Iterator<Item = (String, TestModel)> {
+    let placed = PlacementChoice::ALL.map(|placement| (placement, Rules::default()));
+    let vertices = Rules { dependencies: Dependencies::Vertices, ..Rules::default() };
+    let ruled = [vertices, Rules::PAPER].map(|rules| (PlacementChoice::Endpoint, rules));
+    let variants = [&placed[..], &ruled].concat();
     every_topology().into_iter().flat_map(move |(name, mesh)| {
-        PlacementChoice::ALL.map(|placement| {
-            let model =
-                TestModel::with_options(mesh.clone(), &BuildOptions { bits, placement, ..BuildOptions::default() });
-            (format!("{name}, {placement:?}"), model)
-        })
+        let model = move |&(placement, rules): &(PlacementChoice, Rules)| {
+            let options = BuildOptions { bits, placement, rules, ..BuildOptions::default() };
+            (format!("{name}, {placement:?}, {rules:?}"), TestModel::with_options(mesh.clone(), &options))
+        };
+        variants.iter().map(model).collect::<Vec<_>>()
     })
 }
 

@@ -24,12 +24,12 @@ pub fn parse<C: Choice>(text: &str) -> Result<C, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cli::ingest::Spheres;
+    use crate::cli::ingest::Order;
 
     #[test]
     fn what_comes_later_is_told_from_what_never_comes() {
-        assert_eq!(parse::<Spheres>("forest"), Ok(Spheres::Forest));
-        assert_eq!(parse::<Spheres>("dag").unwrap_err(), "not available yet; available: `forest`");
-        assert_eq!(parse::<Spheres>("best").unwrap_err(), "no such value; available: `forest`");
+        assert_eq!(parse::<Order>("batched"), Ok(Order::Batched));
+        assert_eq!(parse::<Order>("linear").unwrap_err(), "not available yet; available: `batched`");
+        assert_eq!(parse::<Order>("best").unwrap_err(), "no such value; available: `batched`");
     }
 }

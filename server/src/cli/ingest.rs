@@ -15,7 +15,7 @@ use crate::ingest::read::{ReadReport, read_mesh};
 use crate::ingest::report::{BuildReport, Progress, Stage};
 use crate::ingest::simplify::{BuildOptions, PlacementChoice};
 use crate::ingest::spill::Workspace;
-use crate::ingest::{DEFAULT_CREASE_ANGLE_DEG, Precision, Resampled, ingest};
+use crate::ingest::{DEFAULT_CREASE_ANGLE_DEG, Dependencies, ErrorRule, Precision, Resampled, Rules, Spheres, ingest};
 use crate::pack::Metadata;
 use crate::picture;
 use crate::repository::{ModelId, Original, Repository};
@@ -45,14 +45,14 @@ pub struct IngestArgs {
     #[arg(long, default_value = Order::AVAILABLE[0].0, value_parser = parse::<Order>)]
     pub order: Order,
     /// What an op depends on.
-    #[arg(long, default_value = Dependencies::AVAILABLE[0].0, value_parser = parse::<Dependencies>)]
-    pub dependencies: Dependencies,
+    #[arg(long, default_value = DependenciesArg::AVAILABLE[0].0, value_parser = parse::<DependenciesArg>)]
+    pub dependencies: DependenciesArg,
     /// What an op's visibility sphere bounds.
-    #[arg(long, default_value = Spheres::AVAILABLE[0].0, value_parser = parse::<Spheres>)]
-    pub spheres: Spheres,
+    #[arg(long, default_value = SpheresArg::AVAILABLE[0].0, value_parser = parse::<SpheresArg>)]
+    pub spheres: SpheresArg,
     /// How the error of an op is measured.
-    #[arg(long, default_value = ErrorBound::AVAILABLE[0].0, value_parser = parse::<ErrorBound>)]
-    pub error: ErrorBound,
+    #[arg(long, default_value = ErrorArg::AVAILABLE[0].0, value_parser = parse::<ErrorArg>)]
+    pub error: ErrorArg,
     /// Bits per coordinate [default: by the length of the mesh's edges].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(BITS))]
     pub bits: Option<u8>,
@@ -118,6 +118,11 @@ pub fn run(args: IngestArgs) -> anyhow::Result<()> {
             placement: args.placement.into(),
             weld_tolerance: args.weld_tolerance,
             precision: args.precision.into(),
+            rules: Rules {
+                dependencies: args.dependencies.into(),
+                spheres: args.spheres.into(),
+                error: args.error.into(),
+            },
         };
         let input = Input { raw, metadata, original };
         let report = publish(&repository, id, input, &options, (&plan, &workspace), &progress).with_context(failed)?;
@@ -166,8 +171,9 @@ impl Plan {
     ///
     /// # Errors
     /// States what it takes.
-    fn check(&self, vertices: u64) -> anyhow::Result<()> {
-        let needed = FIXED_MEMORY + MEMORY_PER_THREAD + self.memory_limit / 64 + MEMORY_PER_VERTEX * vertices;
+    fn check(&self, vertices: u64, rules: &Rules) -> anyhow::Result<()> {
+        let per_vertex = MEMORY_PER_VERTEX + rules.bytes_per_vertex();
+        let needed = FIXED_MEMORY + MEMORY_PER_THREAD + self.memory_limit / 64 + per_vertex * vertices;
         anyhow::ensure!(
             needed <= self.memory_limit,
             "{vertices} vertices take about {} MiB of memory, more than --memory-limit allows ({} MiB)",
@@ -239,7 +245,7 @@ pub(super) fn publish(
 ) -> anyhow::Result<Published> {
     let Input { raw, metadata, original } = input;
     let triangles = raw.triangles();
-    plan.check(raw.vertices())?;
+    plan.check(raw.vertices(), &options.rules)?;
     let show = |step: Progress| {
         let stage = match step.stage {
             Stage::Partition => "clean",
@@ -406,26 +412,59 @@ choice! {
 
 choice! {
     /// What an op depends on.
-    Dependencies,
+    DependenciesArg,
     /// The ops that made the faces on either side of its cut.
-    "faces" => Faces;
-    later "vertices"
+    "faces" => Faces,
+    /// The last ops on all vertices of those faces (Southern 2001).
+    "vertices" => Vertices;
+    later
+}
+
+impl From<DependenciesArg> for Dependencies {
+    fn from(dependencies: DependenciesArg) -> Self {
+        match dependencies {
+            DependenciesArg::Faces => Self::Faces,
+            DependenciesArg::Vertices => Self::Vertices,
+        }
+    }
 }
 
 choice! {
     /// What an op's visibility sphere bounds.
-    Spheres,
+    SpheresArg,
     /// All that was split off from its vertex.
-    "forest" => Forest;
-    later "dag"
+    "forest" => Forest,
+    /// All ops that wait for it (Southern 2001).
+    "dag" => Dag;
+    later
+}
+
+impl From<SpheresArg> for Spheres {
+    fn from(spheres: SpheresArg) -> Self {
+        match spheres {
+            SpheresArg::Forest => Self::Forest,
+            SpheresArg::Dag => Self::Dag,
+        }
+    }
 }
 
 choice! {
     /// How the error of an op is measured.
-    ErrorBound,
+    ErrorArg,
     /// Distance from the original surface.
-    "deviation" => Deviation;
-    later "edge"
+    "deviation" => Deviation,
+    /// Length of the collapsed edge (Southern 2001).
+    "edge" => Edge;
+    later
+}
+
+impl From<ErrorArg> for ErrorRule {
+    fn from(error: ErrorArg) -> Self {
+        match error {
+            ErrorArg::Deviation => Self::Deviation,
+            ErrorArg::Edge => Self::Edge,
+        }
+    }
 }
 
 #[cfg(test)]
@@ -459,8 +498,9 @@ mod tests {
         assert_eq!(Plan::new(Some(64), 1 << 30).threads, 8);
         let small = Plan::new(Some(3), 300 << 20);
         assert_eq!(small.threads, 1);
-        assert!(small.check(1_000_000).is_ok());
-        let error = small.check(10_000_000).unwrap_err().to_string();
+        assert!(small.check(1_000_000, &Rules::default()).is_ok());
+        assert!(small.check(1_000_000, &Rules::PAPER).is_err());
+        let error = small.check(10_000_000, &Rules::default()).unwrap_err().to_string();
         assert!(error.contains("10000000 vertices") && error.contains("300 MiB"), "{error}");
     }
 

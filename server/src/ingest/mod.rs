@@ -21,6 +21,8 @@ use std::time::Instant;
 
 use self::clean::CleanReport;
 use self::hierarchy::assembly::{Assembled, Model, assemble};
+use self::hierarchy::paper;
+pub use self::hierarchy::paper::{Dependencies, ErrorRule, Rules, Spheres};
 pub use self::partition::{PartitionError, Precision, Resampled};
 use self::partition::{PartitionOptions, partition};
 use self::raw::RawMesh;
@@ -142,10 +144,10 @@ fn ingest_in_pool(
     let partitioned_at = started.elapsed().as_secs_f64();
 
     tell(Stage::Simplify, 0.0);
-    let max_coordinate = mesh.lattice.max_coordinate();
-    let mover = options.placement.mover(max_coordinate);
+    let method = options.method(mesh.lattice.max_coordinate());
     let (simplified, figures) =
-        simplify(&mesh, mover, workspace, threads, &|fraction| tell(Stage::Simplify, fraction))?;
+        simplify(&mesh, method, workspace, threads, &|fraction| tell(Stage::Simplify, fraction))?;
+    let simplified = paper::follow(&options.rules, simplified, &mesh.faces, mesh.vertices.len(), workspace)?;
     let simplified_at = started.elapsed().as_secs_f64();
 
     tell(Stage::Assemble, 0.0);

@@ -5,8 +5,8 @@ use lodestream_protocol::quant::Lattice;
 use xxhash_rust::xxh3::xxh3_64;
 
 use super::layout::{
-    FLAG_COLORS, FLAG_MOVES, FLAG_OPEN, FileHeader, HEADER_NAME, MAGIC, MAX_SECTIONS, ModelFields, SECTION_REQUIRED,
-    STEP_SHIFT, Section, SectionEntry, UNKNOWN_NAME, VERSION,
+    FLAG_COLORS, FLAG_MOVES, FLAG_OPEN, FLAG_VERTICES, FileHeader, HEADER_NAME, MAGIC, MAX_SECTIONS, ModelFields,
+    SECTION_REQUIRED, STEP_SHIFT, Section, SectionEntry, UNKNOWN_NAME, VERSION,
 };
 use super::record::NO_OP;
 use super::{PackError, damaged};
@@ -88,7 +88,7 @@ pub(super) fn read_model(bytes: &[u8]) -> Result<(ModelFields, Lattice), PackErr
     if !lattice.is_valid() {
         return refuse("no lattice");
     }
-    if fields.flags & ((1 << STEP_SHIFT) - 1) & !(FLAG_COLORS | FLAG_MOVES | FLAG_OPEN) != 0 {
+    if fields.flags & ((1 << STEP_SHIFT) - 1) & !(FLAG_COLORS | FLAG_MOVES | FLAG_OPEN | FLAG_VERTICES) != 0 {
         return refuse("unknown flags");
     }
     let on_lattice = |p: &[i32; 3]| p.iter().all(|c| (0..=lattice.max_coordinate()).contains(c));

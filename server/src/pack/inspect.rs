@@ -62,8 +62,8 @@ pub struct Inspection {
     pub zero_errors: u64,
     /// Ops on the longest chain of parents.
     pub dag_depth: u32,
-    /// How many splits have 0, 1, 2 and 3 parents.
-    pub parents_histogram: [u64; 4],
+    /// How many splits wait for 0, 1, 2, 3 others, and so on as far as there are any.
+    pub parents_histogram: Vec<u64>,
     /// Length of the pack.
     pub bytes: u64,
     /// Bytes of op pages and their directory per op.
@@ -91,9 +91,12 @@ pub fn inspect(model: &PackedModel) -> Result<Inspection, PackError> {
     }
     let mut depth = vec![0u32; model.op_count() as usize];
     depth[..model.spawn_count() as usize].fill(1);
-    let mut parents_histogram = [0; 4];
+    let mut parents_histogram = vec![0; 4];
     parents_first(model, |op, parents| {
         depth[op as usize] = 1 + parents.iter().map(|&p| depth[p as usize]).max().unwrap_or(0);
+        if parents_histogram.len() <= parents.len() {
+            parents_histogram.resize(parents.len() + 1, 0);
+        }
         parents_histogram[parents.len()] += 1;
         Ok(())
     })?;
@@ -141,7 +144,7 @@ impl fmt::Display for Inspection {
         let attributes =
             [(self.has_colors, "colours"), (self.has_moves, "moving placements"), (self.is_open, "open surface")];
         let attributes: Vec<&str> = attributes.iter().filter(|(on, _)| *on).map(|&(_, name)| name).collect();
-        let [p0, p1, p2, p3] = self.parents_histogram;
+        let parents = self.parents_histogram.iter().enumerate().map(|(count, splits)| format!("{count}: {splits}"));
         line("title", or_dash(&self.metadata.title))?;
         line("licence", or_dash(&self.metadata.license))?;
         line("source", or_dash(&self.metadata.source))?;
@@ -164,7 +167,7 @@ impl fmt::Display for Inspection {
         let [smallest, largest] = self.error_range;
         line("errors", format!("{smallest:e} to {largest:e}, and {} of zero", self.zero_errors))?;
         line("depth", format!("{} operations", self.dag_depth))?;
-        line("parents", format!("0: {p0}, 1: {p1}, 2: {p2}, 3: {p3}"))?;
+        line("parents", parents.collect::<Vec<_>>().join(", "))?;
         line(
             "pack",
             format!("version {}, {} bytes, {:.1} bytes per split", self.version, self.bytes, self.bytes_per_split),

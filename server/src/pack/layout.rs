@@ -127,6 +127,7 @@ pub(super) struct ModelFields {
 pub(super) const FLAG_COLORS: u32 = 1;
 pub(super) const FLAG_MOVES: u32 = 2;
 pub(super) const FLAG_OPEN: u32 = 4;
+pub(super) const FLAG_VERTICES: u32 = 8;
 /// The upper half of the flags is the step of a model of `visual` precision, 0 for others.
 pub(super) const STEP_SHIFT: u32 = 16;
 
@@ -159,10 +160,10 @@ pub(super) mod column {
     pub(crate) const RIGHT: usize = 13;
     pub(crate) const POSITION: usize = 14;
     /// Columns without colours and moves. Colours (3) follow if the model has any, then moves (3) if placements move `s`,
-    /// then colour moves (3) if both.
+    /// then colour moves (3) if both, then the ops on neighbouring vertices (6) if the model depends by vertices.
     pub(crate) const PLAIN: usize = 17;
 
-    /// Columns of a model's pages.
+    /// Columns of a model's pages, without the ops on neighbouring vertices.
     pub(crate) fn count(has_colors: bool, has_moves: bool) -> usize {
         PLAIN + 3 * (usize::from(has_colors) + usize::from(has_moves) + usize::from(has_colors && has_moves))
     }
@@ -177,6 +178,10 @@ pub(super) mod column {
 
     pub(crate) fn color_moves() -> usize {
         PLAIN + 6
+    }
+
+    pub(crate) fn vertex_ops(has_colors: bool, has_moves: bool) -> usize {
+        count(has_colors, has_moves)
     }
 
     /// Width in bytes of columns that are always stored as they are, with base 0.

@@ -34,7 +34,7 @@ pub use metadata::Metadata;
 pub(crate) use outline::{Outline, SplitSource};
 pub use page::{Column, TestPage};
 pub use pages::PageId;
-pub use read::{PackedModel, SplitFields};
+pub use read::{PackedModel, Prerequisites, SplitFields};
 pub use replay::{extract, extract_complete, parents_first, replay, replay_ops};
 pub use thumbnail::thumbnail_edits;
 pub use verify::{VerifyReport, verify};

@@ -19,6 +19,8 @@ pub(crate) struct Outline {
     pub(crate) has_moves: bool,
     /// See [`Dag::is_open`].
     pub(crate) is_open: bool,
+    /// See [`Dag::by_vertices`].
+    pub(crate) by_vertices: bool,
     /// Number of splits.
     pub(crate) splits: u32,
     /// Of the root vertices.
@@ -46,6 +48,7 @@ impl Outline {
             has_colors: dag.has_colors,
             has_moves: dag.splits.iter().any(|s| s.s_move != [0; 3] || s.s_color_move != [0; 3]),
             is_open: dag.is_open,
+            by_vertices: dag.by_vertices,
             splits: u32::try_from(dag.splits.len()).map_err(|_| invalid("too many ops"))?,
             positions: Vec::new(),
             colors: Vec::new(),

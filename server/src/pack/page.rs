@@ -5,7 +5,7 @@ use super::layout::{
     column::{self, TESTS},
     tag,
 };
-use super::record::{Bounds, Cone, CutRef, Magnitude};
+use super::record::{Bounds, Cone, CutRef, Magnitude, VERTEX_OPS};
 
 /// What the columns of a model's pages may refer to.
 #[derive(Clone, Copy, Debug)]
@@ -17,6 +17,7 @@ pub(super) struct PageContext {
     pub(super) max_coordinate: i32,
     pub(super) has_colors: bool,
     pub(super) has_moves: bool,
+    pub(super) by_vertices: bool,
 }
 
 impl PageContext {
@@ -29,7 +30,7 @@ impl PageContext {
     }
 
     pub(super) fn columns(&self) -> usize {
-        column::count(self.has_colors, self.has_moves)
+        column::count(self.has_colors, self.has_moves) + if self.by_vertices { VERTEX_OPS } else { 0 }
     }
 }
 
@@ -301,6 +302,16 @@ impl<'a> PageView<'a> {
         self.triple(first_column, row)
     }
 
+    /// The ops on neighbouring vertices, the op itself where there is none.
+    #[inline]
+    pub(super) fn vertex_ops(&self, row: usize, first_column: usize) -> Option<[u32; VERTEX_OPS]> {
+        let mut ops = [0; VERTEX_OPS];
+        for (column, op) in (first_column..).zip(&mut ops) {
+            *op = self.value(column, row)?;
+        }
+        Some(ops)
+    }
+
     fn column(&self, column: usize) -> Option<Column<'a>> {
         let rows = self.rows_of(column);
         let entry = u64_at(self.bytes, PAGE_HEADER + 8 * column)?;
@@ -432,6 +443,12 @@ impl<'a> PageView<'a> {
             }
             if context.has_colors && !self.triple(column::color_moves(), row)?.iter().all(byte) {
                 return Some(Err("the colour move is out of range"));
+            }
+        }
+        if context.by_vertices {
+            let first = column::vertex_ops(context.has_colors, context.has_moves);
+            if !self.vertex_ops(row, first)?.into_iter().all(is_split) {
+                return Some(Err("an op on a neighbouring vertex is out of range"));
             }
         }
         Some(Ok(()))

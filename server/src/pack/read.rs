@@ -12,12 +12,12 @@ use lodestream_protocol::op::encode_base;
 
 use super::header::{check_section, read_model, read_table};
 use super::layout::{
-    FLAG_COLORS, FLAG_MOVES, FLAG_OPEN, MAX_METADATA_BYTES, PAGE_SHIFT, SPAWN_PAGE_HEADER, STEP_SHIFT, Section,
-    SectionEntry, SpawnEntry, align8, column, tag,
+    FLAG_COLORS, FLAG_MOVES, FLAG_OPEN, FLAG_VERTICES, MAX_METADATA_BYTES, PAGE_SHIFT, SPAWN_PAGE_HEADER, STEP_SHIFT,
+    Section, SectionEntry, SpawnEntry, align8, column, tag,
 };
 use super::page::{PageContext, PageView, TestPage};
 use super::pages::{PageId, Pages};
-use super::record::{Bounds, CutRef, NO_OP};
+use super::record::{Bounds, CutRef, NO_OP, VERTEX_OPS};
 use super::spawns::{PatchArrays, SpawnTable, spawn_page_bytes, spawns_of_page};
 use super::{Metadata, PackBytes, PackError, damaged};
 
@@ -40,6 +40,24 @@ pub struct SplitFields {
     pub s_move: [i32; 3],
     /// Colour change of `s`.
     pub s_color_move: [u8; 3],
+}
+
+/// What a view takes in with an op, see [`PackedModel::prerequisites`].
+#[derive(Clone, Copy, Debug)]
+pub struct Prerequisites {
+    ops: [u32; 3 + VERTEX_OPS],
+    count: usize,
+}
+
+impl Prerequisites {
+    /// Nothing: what a spawn waits for.
+    pub const NONE: Self = Self { ops: [NO_OP; 3 + VERTEX_OPS], count: 0 };
+
+    /// The ops, parents first.
+    #[inline]
+    pub fn as_slice(&self) -> &[u32] {
+        &self.ops[..self.count]
+    }
 }
 
 /// A pack whose header, tables and base were checked; pages are checked at first use.
@@ -153,6 +171,7 @@ impl PackedModel {
             max_coordinate: lattice.max_coordinate(),
             has_colors: fields.flags & FLAG_COLORS != 0,
             has_moves: fields.flags & FLAG_MOVES != 0,
+            by_vertices: fields.flags & FLAG_VERTICES != 0,
         };
         let (base, base_first_splits) = read_base(&file[range(Section::Base)?], base_end, &context)?;
 
@@ -474,6 +493,38 @@ impl PackedModel {
             }
         }
         Ok((parents, count))
+    }
+
+    /// Whether views take in ops by the rule of vertices ([`Dag::by_vertices`](super::record::Dag::by_vertices)).
+    pub fn is_by_vertices(&self) -> bool {
+        self.context.by_vertices
+    }
+
+    /// What a view takes in with an op: its parents, and under the rule of vertices the last ops on the vertices around its
+    /// cut. Without repeats; none for spawns.
+    ///
+    /// # Errors
+    /// See [`PackedModel::bounds`].
+    #[inline]
+    pub fn prerequisites(&self, op: u32) -> Result<Prerequisites, PackError> {
+        let mut all = Prerequisites::NONE;
+        if op < self.spawn_count() {
+            return Ok(all);
+        }
+        let (parents, count) = self.parents(op)?;
+        all.ops[..3].copy_from_slice(&parents);
+        all.count = count;
+        if self.context.by_vertices {
+            let (view, row) = self.split_row(op)?;
+            let first = column::vertex_ops(self.context.has_colors, self.context.has_moves);
+            for other in view.vertex_ops(row, first).ok_or_else(changed)? {
+                if other != op && !all.as_slice().contains(&other) {
+                    all.ops[all.count] = other;
+                    all.count += 1;
+                }
+            }
+        }
+        Ok(all)
     }
 
     /// Where a spawn's elements begin and end.

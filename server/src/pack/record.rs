@@ -229,7 +229,13 @@ pub struct SplitRecord {
     pub s_move: [i32; 3],
     /// Colour change of `s`, per channel, modulo 256, else zero.
     pub s_color_move: [u8; 3],
+    /// Under the rule of vertices, the last ops before this one on `l`, `r` and the far corners of `fn0 .. fn3`, or [`NO_OP`]:
+    /// what a view takes in with this op beside its parents. All [`NO_OP`] under the rule of faces.
+    pub vertex_ops: [u32; VERTEX_OPS],
 }
+
+/// Vertices besides `s` in the faces around a split's cut edges: `l`, `r` and four far corners (Southern 2001, figure 5.3).
+pub const VERTEX_OPS: usize = 6;
 
 /// Vertices and faces that exist without any split: the base mesh, or what one spawn inserts.
 #[derive(Clone, PartialEq, Eq, Debug, Default)]
@@ -262,6 +268,8 @@ pub struct Dag {
     pub has_colors: bool,
     /// Whether facing-away tests would open holes: the surface has so much boundary that its inside can be seen.
     pub is_open: bool,
+    /// Whether ops wait for all vertices of the faces around their cut instead of for those faces alone.
+    pub by_vertices: bool,
     /// What a client holds before any op.
     pub base: Patch,
     /// Ops `0 .. spawns.len()`.

@@ -8,11 +8,11 @@ use super::record::NO_OP;
 use super::{PackError, PackedModel, damaged};
 use crate::mesh::TriMesh;
 
-/// Calls `visit` with each split and its parents ([`PackedModel::parents`]) such that parents come first, otherwise in the
-/// order of ids. Spawns have no parents and are not visited. O(ops); holds a byte per op.
+/// Calls `visit` with each split and what it waits for ([`PackedModel::prerequisites`]) such that the latter come first,
+/// otherwise in the order of ids. Spawns wait for nothing and are not visited. O(ops); holds a byte per op.
 ///
 /// # Errors
-/// [`PackError`] for damage, for parents in a cycle, and what `visit` returns.
+/// [`PackError`] for damage, for ops that wait for each other, and what `visit` returns.
 pub fn parents_first(
     model: &PackedModel,
     mut visit: impl FnMut(u32, &[u32]) -> Result<(), PackError>,
@@ -34,8 +34,8 @@ pub fn parents_first(
                 stack.pop();
                 continue;
             }
-            let (parents, count) = model.parents(top)?;
-            let parents = &parents[..count];
+            let first = model.prerequisites(top)?;
+            let parents = first.as_slice();
             if parents.iter().all(|&p| state[p as usize] == State::Done) {
                 visit(top, parents)?;
                 state[top as usize] = State::Done;

@@ -7,7 +7,9 @@ use lodestream_protocol::quant::Lattice;
 use lodestream_protocol::testing::{OperationRng, base_meshes};
 
 use super::hash::CompleteMesh;
-use super::record::{Bounds, Cone, CutRef, Dag, Magnitude, NO_OP, Patch as RootPatch, SpawnRecord, SplitRecord};
+use super::record::{
+    Bounds, Cone, CutRef, Dag, Magnitude, NO_OP, Patch as RootPatch, SpawnRecord, SplitRecord, VERTEX_OPS,
+};
 use super::replay::live_faces;
 
 /// What to generate.
@@ -27,11 +29,22 @@ pub struct DagOptions {
     pub has_colors: bool,
     /// Whether splits move the vertex that they split.
     pub has_moves: bool,
+    /// Whether ops wait for vertices.
+    pub by_vertices: bool,
 }
 
 impl Default for DagOptions {
     fn default() -> Self {
-        Self { seed: 1, base: "grid", spawns: 3, splits: 100, bits: 12, has_colors: false, has_moves: false }
+        Self {
+            seed: 1,
+            base: "grid",
+            spawns: 3,
+            splits: 100,
+            bits: 12,
+            has_colors: false,
+            has_moves: false,
+            by_vertices: false,
+        }
     }
 }
 
@@ -79,6 +92,7 @@ impl Generator {
                 lattice: Lattice::of_box([-1.0; 3], [1.0; 3], options.bits),
                 has_colors: options.has_colors,
                 is_open: false,
+                by_vertices: options.by_vertices,
                 base,
                 spawns: Vec::new(),
                 splits: Vec::new(),
@@ -126,6 +140,7 @@ impl Generator {
             Cut::Left { left } => (self.cut_ref(&fan, s, left), CutRef::None),
             Cut::Right { right } => (CutRef::None, self.cut_ref(&fan, s, right)),
         };
+        let vertex_ops = self.ops_around(&fan);
         let t = self.replica.split(s, &fan, cut, &vertex).expect("the cut fits");
         let op = (self.dag.spawns.len() + self.dag.splits.len()) as u32;
         let (tree_parent, number) = self.last_op[s.index()];
@@ -141,6 +156,7 @@ impl Generator {
             color: vertex.color,
             s_move: vertex.s_move,
             s_color_move: vertex.s_color_move,
+            vertex_ops,
         });
         let slots = self.replica.slot_end() as usize;
         self.last_op.resize(slots, (NO_OP, NO_OP));
@@ -150,6 +166,18 @@ impl Generator {
         self.maker[t.index()] = op;
         *self.child_of(tree_parent, number) = op;
         Some(())
+    }
+
+    /// The last ops on some vertices around a fan, if the model depends by vertices: of as many as a record holds.
+    fn ops_around(&self, fan: &Fan) -> [u32; VERTEX_OPS] {
+        let mut ops = [NO_OP; VERTEX_OPS];
+        if self.dag.by_vertices {
+            for (op, &vertex) in ops.iter_mut().zip(fan.ring()) {
+                let (last, _) = self.last_op[vertex as usize];
+                *op = if last != NO_OP && (last as usize) < self.dag.spawns.len() { NO_OP } else { last };
+            }
+        }
+        ops
     }
 
     /// The place where the first op after `parent` on vertex `number` is noted.
@@ -290,6 +318,7 @@ impl Generator {
                     right: map_cut(split.right),
                     next_of_s: map(split.next_of_s),
                     first_of_t: map(split.first_of_t),
+                    vertex_ops: split.vertex_ops.map(map),
                     ..split
                 }
             })

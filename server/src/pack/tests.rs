@@ -18,6 +18,7 @@ fn every_kind() -> Vec<DagOptions> {
         DagOptions { seed: 2, base: "torus", spawns: 0, splits: 300, has_colors: true, ..base },
         DagOptions { seed: 3, base: "annulus", spawns: 300, splits: 900, has_moves: true, ..base },
         DagOptions { seed: 4, base: "empty", spawns: 257, splits: 20, has_colors: true, has_moves: true, ..base },
+        DagOptions { seed: 5, splits: 600, has_moves: true, by_vertices: true, ..base },
         DagOptions { seed: 5, base: "tetrahedron", spawns: 2, splits: 3000, bits: 21, ..base },
         DagOptions { seed: 6, base: "two-sided triangle", spawns: 0, splits: 0, ..base },
         DagOptions { seed: 7, base: "empty", spawns: 0, splits: 0, ..base },
@@ -91,6 +92,7 @@ fn compare_splits(model: &PackedModel, dag: &Dag) {
             color: fields.color,
             s_move: fields.s_move,
             s_color_move: fields.s_color_move,
+            vertex_ops: record.vertex_ops,
         };
         assert_eq!(read, *record, "split {op}");
         let mut expected = vec![record.tree_parent];
@@ -109,6 +111,12 @@ fn compare_splits(model: &PackedModel, dag: &Dag) {
         });
         let (parents, count) = model.parents(op).unwrap();
         assert_eq!(parents[..count], expected, "split {op}");
+        for other in record.vertex_ops {
+            if other != NO_OP && !expected.contains(&other) {
+                expected.push(other);
+            }
+        }
+        assert_eq!(model.prerequisites(op).unwrap().as_slice(), expected, "split {op}");
     }
 }
 

@@ -10,13 +10,13 @@ use xxhash_rust::xxh3::{Xxh3, xxh3_64};
 
 use super::hash::CompleteMesh;
 use super::layout::{
-    FLAG_COLORS, FLAG_MOVES, FLAG_OPEN, FileHeader, MAGIC, MAX_METADATA_BYTES, ModelFields, PAGE_OPS, SECTION_REQUIRED,
-    SPAWN_PAGE_HEADER, STEP_SHIFT, Section, SectionEntry, VERSION, tag,
+    FLAG_COLORS, FLAG_MOVES, FLAG_OPEN, FLAG_VERTICES, FileHeader, MAGIC, MAX_METADATA_BYTES, ModelFields, PAGE_OPS,
+    SECTION_REQUIRED, SPAWN_PAGE_HEADER, STEP_SHIFT, Section, SectionEntry, VERSION, tag,
 };
 use super::metadata::Metadata;
 use super::outline::{Outline, SplitSource, WholeDag};
 use super::page::{PageBuilder, PageContext, PageView, seal};
-use super::record::{Bounds, CutRef, Dag, NO_OP, SplitRecord};
+use super::record::{Bounds, CutRef, Dag, NO_OP, SplitRecord, VERTEX_OPS};
 use super::spawns::{PatchArrays, put_patches, spawns_of_page};
 
 /// Pages that are encoded before they are written: some megabytes.
@@ -154,6 +154,7 @@ fn check(outline: &Outline, complete: &CompleteMesh) -> Result<PageContext, Writ
         max_coordinate: max,
         has_colors: outline.has_colors,
         has_moves: outline.has_moves,
+        by_vertices: outline.by_vertices,
     })
 }
 
@@ -177,6 +178,9 @@ fn check_split(split: &SplitRecord, outline: &Outline) -> Result<(), &'static st
     if !outline.has_moves && (split.s_move != [0; 3] || split.s_color_move != [0; 3]) {
         return Err("it moves `s`, the model has no moves");
     }
+    if !outline.by_vertices && split.vertex_ops != [NO_OP; VERTEX_OPS] {
+        return Err("it waits for vertices, the model depends by faces");
+    }
     Ok(())
 }
 
@@ -189,6 +193,7 @@ fn model_fields(outline: &Outline, complete: &CompleteMesh, context: &PageContex
         flags: flag(context.has_colors, FLAG_COLORS)
             | flag(context.has_moves, FLAG_MOVES)
             | flag(outline.is_open, FLAG_OPEN)
+            | flag(outline.by_vertices, FLAG_VERTICES)
             | complete.visual_step.map_or(0, |step| u32::from(step.get()) << STEP_SHIFT),
         box_min: complete.box_min,
         box_max: complete.box_max,
@@ -303,6 +308,14 @@ fn op_page(outline: &Outline, context: &PageContext, page: u32, splits: &[SplitR
         (0..3).for_each(|k| builder.push(splits.iter().map(|s| s.s_move[k].into())));
         if context.has_colors {
             (0..3).for_each(|k| builder.push(splits.iter().map(|s| s.s_color_move[k].into())));
+        }
+    }
+    if context.by_vertices {
+        let first_id = context.spawns + begin;
+        for k in 0..VERTEX_OPS {
+            let ops =
+                (first_id..).zip(splits).map(|(id, s)| if s.vertex_ops[k] == NO_OP { id } else { s.vertex_ops[k] });
+            builder.push(ops.map(i64::from));
         }
     }
     let bytes = builder.finish(page);

@@ -11,7 +11,7 @@ use super::{
     order::error_band,
 };
 use crate::mesh::morton::morton;
-use crate::pack::record::{Bounds, CutRef, Dag, NO_OP, Patch, SpawnRecord, SplitRecord};
+use crate::pack::record::{Bounds, CutRef, Dag, NO_OP, Patch, SpawnRecord, SplitRecord, VERTEX_OPS};
 
 /// A finished simplification.
 #[derive(Debug)]
@@ -50,7 +50,7 @@ pub(crate) fn assemble(simplified: &InCore) -> (Dag, Shape) {
         roots.spawns.iter().map(|&(component, bounds)| SpawnRecord { bounds, patch: converter.patch(&[component]) });
     let spawns = spawns.collect();
     let InCore { lattice, has_colors, is_open, .. } = *simplified;
-    (Dag { lattice, has_colors, is_open, base, spawns, splits }, shape)
+    (Dag { lattice, has_colors, is_open, by_vertices: false, base, spawns, splits }, shape)
 }
 
 /// Numbers of root vertices and faces, and who brings them.
@@ -232,6 +232,7 @@ impl Converter<'_> {
             color: point.color,
             s_move: collapse.s_move,
             s_color_move: collapse.s_color_move,
+            vertex_ops: [NO_OP; VERTEX_OPS],
         }
     }
 

@@ -11,13 +11,14 @@ pub(crate) mod deviation;
 #[cfg(test)]
 pub(crate) mod forest;
 pub(crate) mod order;
+pub mod paper;
 
 use bytemuck::{Pod, Zeroable};
 use glam::DVec3;
 
 use self::bounds::Normals;
 use super::spill::Spill;
-use crate::pack::record::{Bounds, Cone, Magnitude};
+use crate::pack::record::{Bounds, Cone, Magnitude, VERTEX_OPS};
 
 /// No half-edge, no vertex, no op.
 pub(crate) const NONE: u32 = u32::MAX;
@@ -149,6 +150,8 @@ pub(crate) struct RootFace {
 pub(crate) struct Simplified {
     /// In the order of simplification: the number of a collapse is its place.
     pub(crate) collapses: Spill<CollapseRecord>,
+    /// Under the rule of vertices, by collapse: those whose splits its split waits for besides its parents', or [`NONE`].
+    pub(crate) vertex_ops: Option<Vec<[u32; VERTEX_OPS]>>,
     /// By vertex.
     pub(crate) root_vertices: Vec<RootVertex>,
     /// By face.

@@ -7,6 +7,7 @@
 use glam::DVec3;
 
 use super::{
+    Method,
     constraint::{Examined, STAGES, Stage},
     measure::{Behind, Chosen, Done, Measurer},
     placement::{self, Edge, Place, Placement, Volume},
@@ -124,7 +125,7 @@ impl State {
 
 impl Simplifier {
     /// Collapses are numbered from `first_op` on. O(vertices + faces).
-    pub(crate) fn new(surface: Surface, state: State, mover: Option<Mover>, first_op: u32) -> Self {
+    pub(crate) fn new(surface: Surface, state: State, method: Method, first_op: u32) -> Self {
         let vertices = surface.vertex_count();
         let State { points, is_locked, quadrics, carried, samples } = state;
         let planes = (0..vertices as u32).map(|v| Planes::around(&surface, &points, v)).collect();
@@ -132,9 +133,9 @@ impl Simplifier {
             points,
             is_locked,
             first_op,
-            mover,
+            mover: method.mover,
             count: 0,
-            measurer: Measurer::new(carried, quadrics, samples, mover.is_some(), first_op),
+            measurer: Measurer::new(carried, quadrics, samples, method, first_op),
             behind: None,
             removed_by: vec![NONE; surface.face_count()],
             sweeps: 0,

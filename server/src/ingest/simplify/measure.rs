@@ -9,10 +9,12 @@ use std::thread::{Scope, ScopedJoinHandle};
 use glam::DVec3;
 
 use super::{
+    Method,
     constraint::Examined,
     quadric::Quadric,
     surface::{NONE, Site, Surface},
 };
+use crate::ingest::hierarchy::paper::ErrorRule;
 use crate::ingest::hierarchy::{
     Collapse, Point,
     bounds::{self, Carried, Normals, Sphere},
@@ -39,6 +41,7 @@ pub(crate) struct Measurer {
     first_op: u32,
     /// Whether vertices that stay may move.
     moves: bool,
+    error: ErrorRule,
     pub(crate) collapses: Vec<Collapse>,
     pub(crate) carried: Vec<Carried>,
     pub(crate) quadrics: Vec<Quadric>,
@@ -76,11 +79,12 @@ impl Measurer {
         carried: Vec<Carried>,
         quadrics: Vec<Quadric>,
         samples: Samples,
-        moves: bool,
+        method: Method,
         first_op: u32,
     ) -> Self {
         let collapses = Vec::with_capacity(carried.len());
-        Self { first_op, moves, collapses, carried, quadrics, samples, ..Self::default() }
+        let (moves, error) = (method.mover.is_some(), method.error);
+        Self { first_op, moves, error, collapses, carried, quadrics, samples, ..Self::default() }
     }
 
     /// Looks at a legal site, which `examined` describes, before it is collapsed. `moved` is `s` afterwards, if it moves.
@@ -126,7 +130,12 @@ impl Measurer {
         let enough = inherited.max(rms) / SAMPLED_FACTOR;
         let deviation = self.samples.merge([s, t], before, self.moves, &self.star, enough);
         let beside = self.measure_around(&done, examined, enough.max(deviation.distance));
-        let own = rms.max(SAMPLED_FACTOR * deviation.distance.max(beside)).max(COLOR_FACTOR * deviation.color);
+        let own = match self.error {
+            ErrorRule::Deviation => {
+                rms.max(SAMPLED_FACTOR * deviation.distance.max(beside)).max(COLOR_FACTOR * deviation.color)
+            }
+            ErrorRule::Edge => before[1].at().distance(ps.at()),
+        };
         let own = if own < SMALLEST_ERROR { 0.0 } else { own };
         let (sphere, normals) = self.region.take().expect("a collapse is begun before it is done");
         let children = [s, t].map(|v| self.carried[v as usize].child());

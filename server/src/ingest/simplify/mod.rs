@@ -23,8 +23,10 @@ mod surface;
 mod tests;
 mod tree;
 
+use self::batch::Mover;
 pub use self::placement::PlacementChoice;
 pub(crate) use self::tree::simplify;
+use super::hierarchy::paper::{ErrorRule, Rules};
 pub use super::partition::Precision;
 
 /// Choices of a build.
@@ -39,4 +41,21 @@ pub struct BuildOptions {
     pub weld_tolerance: f64,
     /// Whether vertices may slide along the surface.
     pub precision: Precision,
+    /// What ops wait for, what their spheres bound, what their errors are.
+    pub rules: Rules,
+}
+
+impl BuildOptions {
+    /// How collapses are chosen and measured on a lattice with this largest coordinate.
+    pub(crate) fn method(&self, max_coordinate: i32) -> Method {
+        Method { mover: self.placement.mover(max_coordinate), error: self.rules.error }
+    }
+}
+
+/// How collapses are chosen and measured.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Method {
+    /// `None`: vertices that stay do not move.
+    mover: Option<Mover>,
+    error: ErrorRule,
 }

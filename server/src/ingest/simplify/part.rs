@@ -4,7 +4,8 @@ use bytemuck::{Pod, Zeroable};
 use glam::DVec3;
 
 use super::{
-    batch::{Mover, Simplifier, State, originals},
+    Method,
+    batch::{Simplifier, State, originals},
     quadric::{self, Quadric},
     surface::Surface,
 };
@@ -93,7 +94,7 @@ pub(super) struct Simplified {
 pub(super) struct Task {
     /// Of its node.
     pub(super) height: u8,
-    pub(super) mover: Option<Mover>,
+    pub(super) method: Method,
     /// Number of its first collapse.
     pub(super) first_op: u32,
     /// Whether a thread has nothing else to do than to help. The result is the same.
@@ -201,13 +202,13 @@ impl Part {
     /// Simplifies the part at this height: components that lie inside it to the end, the others to an eighth of their faces.
     /// `progress` hears how many faces are gone since it was last called.
     pub(super) fn simplify(self, mesh: &ChunkedMesh, task: Task, progress: &mut dyn FnMut(u64)) -> Simplified {
-        let Task { height, mover, first_op, has_second_thread } = task;
+        let Task { height, method, first_op, has_second_thread } = task;
         let Self { vertices, components, face_numbers, surface, state } = self;
         let is_finished = |component: u32| mesh.components.components[component as usize].height <= height;
         let component_of = |surface: &Surface, face: u32| components[surface.corners(face)[0] as usize];
         let (inside, across): (Vec<u32>, Vec<u32>) =
             (0..face_numbers.len() as u32).partition(|&face| is_finished(component_of(&surface, face)));
-        let mut simplifier = Simplifier::new(surface, state, mover, first_op);
+        let mut simplifier = Simplifier::new(surface, state, method, first_op);
         let mut tell = Countdown { told: 0, progress };
         let work = |simplifier: &mut Simplifier| {
             if !across.is_empty() {

@@ -7,7 +7,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::batch::Mover;
+use super::Method;
 use super::part::{Part, Remainder, Sample, Simplified as Done, Survivor, Task};
 use crate::ingest::{
     chunks::{ChunkedMesh, FAN_IN},
@@ -29,7 +29,7 @@ pub(crate) struct Figures {
 /// faces that are gone, from any thread.
 pub(crate) fn simplify(
     mesh: &ChunkedMesh,
-    mover: Option<Mover>,
+    method: Method,
     workspace: &Workspace,
     threads: u32,
     progress: &(dyn Fn(f32) + Sync),
@@ -59,7 +59,7 @@ pub(crate) fn simplify(
                 None => Part::leaf(mesh, node)?,
                 Some(below) => Part::join(mesh, height, below.children_of(node)?),
             };
-            let task = Task { height, mover, first_op, has_second_thread: node >= nodes - helped };
+            let task = Task { height, method, first_op, has_second_thread: node >= nodes - helped };
             Ok(part.simplify(mesh, task, &mut |gone| tell(gone)))
         };
         in_order(nodes, threads, work, |_, done| {
@@ -71,7 +71,7 @@ pub(crate) fn simplify(
     let Output { collapses, mut root_vertices, mut root_faces, figures } = output;
     root_vertices.sort_unstable_by_key(|v| v.vertex);
     root_faces.sort_unstable_by_key(|f| f.face);
-    Ok((Simplified { collapses: collapses.finish()?, root_vertices, root_faces }, figures))
+    Ok((Simplified { collapses: collapses.finish()?, vertex_ops: None, root_vertices, root_faces }, figures))
 }
 
 /// What all nodes have given so far.

@@ -6,7 +6,7 @@ use super::super::select::{OpSet, pack, unpack};
 use super::rows::{Due, FILLS, WANTED};
 use super::{Children, Context, Front};
 use crate::pack::record::NO_OP;
-use crate::pack::{PackError, PackedModel};
+use crate::pack::{PackError, PackedModel, Prerequisites};
 
 /// Ratio of the priorities between which candidates are taken up first; the square of the last one for each time after that.
 const BAND: f32 = 0.99;
@@ -175,7 +175,7 @@ impl Front {
 #[derive(Debug, Default)]
 pub(crate) struct Closure {
     pub(crate) ops: Vec<u32>,
-    stack: Vec<(u32, [u32; 3], usize, usize)>,
+    stack: Vec<(u32, Prerequisites, usize)>,
     seen: OpSet,
 }
 
@@ -194,19 +194,17 @@ impl Closure {
         let mut enter = |seen: &mut OpSet, op: u32| -> Result<_, PackError> {
             seen.insert(op);
             let has = has_pages(op);
-            let (parents, count) =
-                if op < model.spawn_count() || !has { ([NO_OP; 3], 0) } else { model.parents(op)? };
-            Ok(((op, parents, count, 0), has))
+            let first = if has { model.prerequisites(op)? } else { Prerequisites::NONE };
+            Ok(((op, first, 0), has))
         };
         let (first, mut is_whole) = enter(&mut self.seen, op)?;
         self.stack.push(first);
-        while let Some((op, parents, count, next)) = self.stack.last_mut() {
-            if *next == *count {
+        while let Some((op, first, next)) = self.stack.last_mut() {
+            let Some(&parent) = first.as_slice().get(*next) else {
                 self.ops.push(*op);
                 self.stack.pop();
                 continue;
-            }
-            let parent = parents[*next];
+            };
             *next += 1;
             if !is_present(parent) && !self.seen.contains(&parent) {
                 let (entry, has) = enter(&mut self.seen, parent)?;

@@ -527,7 +527,7 @@ impl Front {
         self.stack.push(op);
         while let Some(op) = self.stack.pop() {
             self.triangles += context.model.triangles_of(op)?;
-            for parent in parents(context.model, op)? {
+            for &parent in context.model.prerequisites(op)?.as_slice() {
                 let row = self.touch(parent);
                 let state = &mut self.rows.states[row];
                 let was_in = state.is_closed_in();
@@ -556,7 +556,7 @@ impl Front {
         self.stack.push(op);
         while let Some(op) = self.stack.pop() {
             self.triangles -= context.model.triangles_of(op)?;
-            for parent in parents(context.model, op)? {
+            for &parent in context.model.prerequisites(op)?.as_slice() {
                 let row = self.touch(parent);
                 let state = &mut self.rows.states[row];
                 state.references -= 1;
@@ -627,12 +627,6 @@ impl Front {
 
 fn too_many() -> PackError {
     PackError::Damaged { section: "ops", reason: "an op is a parent of more than 65,535 others".into() }
-}
-
-/// Parents of an op.
-fn parents(model: &PackedModel, op: u32) -> Result<impl Iterator<Item = u32>, PackError> {
-    let (parents, count) = if op < model.spawn_count() { ([NO_OP; 3], 0) } else { model.parents(op)? };
-    Ok(parents.into_iter().take(count))
 }
 
 /// Children of an op in the vertex forest, [`NO_OP`] among them.

@@ -22,10 +22,10 @@ use lodestream_protocol::quant::Lattice;
 use self::records::Recorder;
 use self::roots::Roots;
 use self::splits::{Runs, Splits};
-use super::Simplified;
+use super::{NONE, Simplified};
 use crate::ingest::chunks::Component;
 use crate::ingest::spill::{SpillError, Workspace};
-use crate::pack::record::Magnitude;
+use crate::pack::record::{Magnitude, NO_OP, VERTEX_OPS};
 use crate::pack::{CompleteMesh, Metadata, Outline, PAGE_OPS, WriteError, write_splits};
 
 /// What assembly needs to know of a model besides its simplification.
@@ -96,6 +96,8 @@ pub(crate) struct Assembled {
     pub(crate) shape: Shape,
     pub(crate) errors: ErrorRange,
     runs: Runs,
+    /// Under the rule of vertices, by split.
+    vertex_ops: Option<Vec<[u32; VERTEX_OPS]>>,
 }
 
 impl Assembled {
@@ -110,7 +112,14 @@ impl Assembled {
         out: &mut (impl Write + Seek),
         progress: &mut dyn FnMut(f32),
     ) -> Result<u64, WriteError> {
-        write_splits(&self.outline, &mut Splits::new(&self.runs), complete, metadata, out, progress)
+        write_splits(
+            &self.outline,
+            &mut Splits::new(&self.runs, self.vertex_ops.as_deref()),
+            complete,
+            metadata,
+            out,
+            progress,
+        )
     }
 }
 
@@ -138,7 +147,7 @@ pub(crate) fn assemble_by(
     workspace: &Workspace,
     progress: &mut dyn FnMut(f32),
 ) -> Result<Assembled, WriteError> {
-    let Simplified { collapses, root_vertices, root_faces } = simplified;
+    let Simplified { collapses, vertex_ops, root_vertices, root_faces } = simplified;
     let roots = Roots::new(model, &root_vertices, &root_faces)?;
     let splits = u32::try_from(collapses.len()).map_err(|_| invalid("too many collapses"))?;
     let spawns = roots.spawns.len() as u32;
@@ -151,8 +160,19 @@ pub(crate) fn assemble_by(
     drop((root_vertices, root_faces));
     let runs = recorder.run(&collapses, &ids, spawns, workspace, grain, &mut |share| progress(0.4 + 0.6 * share))?;
     outline.has_moves = recorder.has_moves;
+    outline.by_vertices = vertex_ops.is_some();
+    let vertex_ops = vertex_ops.map(|ops| by_id(&ops, &ids, spawns));
     let shape = Shape { depth: recorder.depth, parents: recorder.parents, base_components };
-    Ok(Assembled { outline, shape, errors: recorder.errors, runs })
+    Ok(Assembled { outline, shape, errors: recorder.errors, runs, vertex_ops })
+}
+
+/// From the numbers of collapses to final ids, which count from `spawns`.
+fn by_id(vertex_ops: &[[u32; VERTEX_OPS]], ids: &[u32], spawns: u32) -> Vec<[u32; VERTEX_OPS]> {
+    let mut by_id = vec![[NO_OP; VERTEX_OPS]; ids.len()];
+    for (ops, &id) in vertex_ops.iter().zip(ids) {
+        by_id[(id - spawns) as usize] = ops.map(|op| if op == NONE { NO_OP } else { ids[op as usize] });
+    }
+    by_id
 }
 
 fn invalid(reason: impl Into<String>) -> WriteError {
@@ -166,6 +186,6 @@ impl From<SpillError> for WriteError {
 }
 
 /// Blocks of at most `step` items, from the last back to the first.
-fn blocks_from_the_end(len: u64, step: u64) -> impl Iterator<Item = std::ops::Range<u64>> {
+pub(super) fn blocks_from_the_end(len: u64, step: u64) -> impl Iterator<Item = std::ops::Range<u64>> {
     (0..len.div_ceil(step)).rev().map(move |block| block * step..len.min((block + 1) * step))
 }

@@ -228,6 +228,7 @@ impl Roots {
             has_colors: model.has_colors,
             has_moves: false,
             is_open: model.is_open,
+            by_vertices: false,
             splits,
             positions: Vec::with_capacity(vertices.len()),
             colors: Vec::with_capacity(vertices.len()),

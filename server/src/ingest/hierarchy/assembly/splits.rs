@@ -9,7 +9,7 @@ use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
 
 use crate::ingest::spill::Spill;
-use crate::pack::record::{Bounds, Cone, CutRef, Magnitude, SplitRecord};
+use crate::pack::record::{Bounds, Cone, CutRef, Magnitude, NO_OP, SplitRecord, VERTEX_OPS};
 use crate::pack::{SplitSource, WriteError};
 
 /// A [`SplitRecord`] with its id as it waits in a spill, without padding.
@@ -68,6 +68,7 @@ impl StoredSplit {
             color: self.color,
             s_move: self.s_move,
             s_color_move: self.s_color_move,
+            vertex_ops: [NO_OP; VERTEX_OPS],
         }
     }
 }
@@ -87,6 +88,8 @@ pub(super) struct Runs {
 /// Reads the splits of a model bucket after bucket.
 pub(super) struct Splits<'a> {
     runs: &'a Runs,
+    /// By split, under the rule of vertices.
+    vertex_ops: Option<&'a [[u32; VERTEX_OPS]]>,
     /// The bucket to read next.
     next: u32,
     /// Splits of the bucket at hand, run after run.
@@ -96,8 +99,8 @@ pub(super) struct Splits<'a> {
 }
 
 impl<'a> Splits<'a> {
-    pub(super) fn new(runs: &'a Runs) -> Self {
-        Self { runs, next: runs.ids.start / runs.bucket, splits: Vec::new(), places: Vec::new() }
+    pub(super) fn new(runs: &'a Runs, vertex_ops: Option<&'a [[u32; VERTEX_OPS]]>) -> Self {
+        Self { runs, vertex_ops, next: runs.ids.start / runs.bucket, splits: Vec::new(), places: Vec::new() }
     }
 }
 
@@ -134,6 +137,10 @@ impl SplitSource for Splits<'_> {
 
     fn read(&self, splits: Range<u32>, out: &mut Vec<SplitRecord>) {
         let places = &self.places[splits.start as usize..splits.end as usize];
-        out.extend(places.iter().map(|&place| self.splits[place as usize].record()));
+        out.extend(places.iter().map(|&place| {
+            let split = &self.splits[place as usize];
+            let vertex_ops = self.vertex_ops.map(|ops| ops[(split.id - self.runs.ids.start) as usize]);
+            SplitRecord { vertex_ops: vertex_ops.unwrap_or([NO_OP; VERTEX_OPS]), ..split.record() }
+        }));
     }
 }

@@ -47,6 +47,7 @@ pub(crate) fn spilled(done: &InCore, workspace: &Workspace) -> (Simplified, Vec<
         root_vertices: root_vertices.collect(),
         root_faces: root_faces.collect(),
         collapses: collapses.finish().unwrap(),
+        vertex_ops: None,
     };
     let component = |&(low, high): &(glam::DVec3, glam::DVec3)| {
         let corner = |c: glam::DVec3| c.to_array().map(|x| x as i32);

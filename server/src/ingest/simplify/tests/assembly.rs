@@ -4,7 +4,7 @@ use std::io::Cursor;
 use std::path::Path;
 
 use super::super::batch::{Simplifier, State};
-use super::super::{lattice, order, surface::Surface};
+use super::super::{BuildOptions, lattice, order, surface::Surface};
 use super::in_core::is_open;
 use super::{meshes::*, real_meshes};
 use crate::ingest::hierarchy::assembly::{Assembled, Grain, Model, assemble, assemble_by, tests::spilled};
@@ -34,7 +34,7 @@ fn simplify<T>(mesh: &TriMesh, go_on: impl FnOnce(&InCore, CompleteMesh) -> T) -
     let colors: Vec<[u8; 3]> = points.iter().map(|p| p.color).collect();
     let complete = CompleteMesh::of(&positions, has_colors.then_some(&colors[..]), &faces);
     let state = State::of_originals(&surface, points, has_colors);
-    let mut simplifier = Simplifier::new(surface, state, None, 0);
+    let mut simplifier = Simplifier::new(surface, state, BuildOptions::default().method(lattice.max_coordinate()), 0);
     simplifier.run(&mut |_| {});
     let done = InCore {
         lattice,

@@ -86,8 +86,9 @@ pub(super) fn chunked(mesh: &TriMesh, max_faces: usize, workspace: &Workspace) -
 pub(super) fn build(mesh: &TriMesh, max_faces: usize, threads: u32, placement: PlacementChoice) -> Dag {
     let workspace = Workspace::in_memory();
     let mesh = chunked(mesh, max_faces, &workspace);
-    let mover = placement.mover(mesh.lattice.max_coordinate());
-    let (simplified, _) = tree::simplify(&mesh, mover, &workspace, threads, &|_| {}).unwrap();
+    let options = BuildOptions { placement, ..BuildOptions::default() };
+    let method = options.method(mesh.lattice.max_coordinate());
+    let (simplified, _) = tree::simplify(&mesh, method, &workspace, threads, &|_| {}).unwrap();
     in_core(&mesh, &simplified)
 }
 

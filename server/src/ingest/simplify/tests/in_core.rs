@@ -34,9 +34,9 @@ pub(super) fn build(mesh: &TriMesh, options: &BuildOptions) -> Result<(Dag, Buil
     let is_open = is_open(&surface, &points);
     let has_colors = mesh.colors.is_some();
     let boundary_vertices = points.iter().filter(|p| p.is_boundary).count();
-    let mover = options.placement.mover(lattice.max_coordinate());
+    let method = options.method(lattice.max_coordinate());
     let state = State::of_originals(&surface, points, has_colors);
-    let mut simplifier = Simplifier::new(surface, state, mover, 0);
+    let mut simplifier = Simplifier::new(surface, state, method, 0);
     simplifier.run(&mut |_| {});
     let (dag, shape) = assemble(&InCore {
         lattice,
