@@ -15,6 +15,7 @@ use lodestream_client::app::file::{check_folder, write_aside};
 use lodestream_client::app::snapshot::{self, SnapshotOptions};
 use lodestream_client::camera::recording::Recording;
 use lodestream_client::camera::{Detail, Viewport};
+use lodestream_client::load::duty::Duty;
 use lodestream_client::load::pace::Pace;
 use lodestream_client::load::page;
 use lodestream_client::load::path::{Path as CameraPath, PathFile};
@@ -109,6 +110,9 @@ struct LoadArgs {
     /// of recorded views]
     #[arg(long, value_name = "HZ")]
     view_rate: Option<Pace>,
+    /// Share of the time in which a client moves, above 0 to 1: it does so at the beginning of every 10 s
+    #[arg(long, value_name = "SHARE", default_value = "1")]
+    duty: Duty,
     /// Size of the images that are asked for, in pixels
     #[arg(long, value_name = "WxH", default_value = "1920x1080", value_parser = parse_size)]
     size: Viewport,
@@ -212,6 +216,7 @@ fn run_load(args: LoadArgs) -> anyhow::Result<()> {
         path,
         path_file,
         pace: args.view_rate.unwrap_or(usual_pace),
+        duty: args.duty,
         viewport: args.size,
         fov_y_rad: args.fov.to_radians(),
         detail: Detail { triangle_limit: args.triangles, tolerance_px: args.tolerance, ..Detail::default() },

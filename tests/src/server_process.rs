@@ -245,10 +245,19 @@ impl ServerProcess {
     /// # Panics
     /// If it does not say that it listens within [`ANSWER_LIMIT`]; shows what it logged.
     pub fn start(repository: &Path) -> Self {
+        Self::start_with(repository, &[])
+    }
+
+    /// [`start`](Self::start) with environment variables, which is one way to configure it.
+    ///
+    /// # Panics
+    /// As there.
+    pub fn start_with(repository: &Path, variables: &[(&str, &str)]) -> Self {
         let folder = TempDir::new();
         let log = folder.join("stderr");
         let mut command = Command::new(server_bin());
         command.args(["serve", "--listen", "127.0.0.1:0", "--repository"]).arg(repository).stdin(Stdio::null());
+        command.envs(variables.iter().copied());
         command.stdout(Stdio::piped()).stderr(File::create(&log).expect("the folder takes a file"));
         let mut child = command.spawn().expect("the server starts");
         let stdout = BufReader::new(child.stdout.take().expect("piped"));

@@ -12,6 +12,7 @@ use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::ViewError;
 
 use super::LoadOptions;
+use super::duty::Duty;
 use super::pace::Pace;
 use super::path::{Path, Pose, poses};
 use super::totals::{Counters, FIRST_INTERVAL, Interval, Phase, SingleKind, SingleKindBatches, Totals};
@@ -134,6 +135,8 @@ struct Client<'a> {
     poses: Vec<Pose>,
     /// When the first view was set.
     began: Timestamp,
+    /// Place in a period of motion and rest at which the client began, from 0 to 1.
+    phase_of_motion: f64,
     /// Number of the newest view of the path, counted on over its repetitions.
     step: u64,
     watched: Option<Watched>,
@@ -155,8 +158,10 @@ struct Client<'a> {
 }
 
 impl<'a> Client<'a> {
-    fn new(options: &'a LoadOptions, rng: Rng, shared: &'a Shared) -> Self {
+    fn new(options: &'a LoadOptions, mut rng: Rng, shared: &'a Shared) -> Self {
+        let phase_of_motion = if options.duty == Duty::ALWAYS { 0.0 } else { rng.f64() };
         Self {
+            phase_of_motion,
             options,
             rng,
             shared,
@@ -348,7 +353,10 @@ impl<'a> Client<'a> {
         let next = match pace {
             Pace::Settled => self.step + u64::from(self.session.settled().is_some()),
             // A client that comes late goes to where the camera is by now.
-            _ => pace.step_at(&self.options.path, now.since(self.began)).unwrap_or(self.step),
+            _ => {
+                let moved = self.options.duty.moved(self.phase_of_motion, now.since(self.began));
+                pace.step_at(&self.options.path, moved).unwrap_or(self.step)
+            }
         };
         let last = if self.options.duration.is_some() { u64::MAX } else { self.length() - 1 };
         Some(next.min(last)).filter(|&next| next > self.step)
@@ -417,7 +425,8 @@ impl<'a> Client<'a> {
         let next = self.step + 1;
         let is_last = self.options.duration.is_none() && next >= self.length();
         self.watched.filter(|_| !is_last)?;
-        Some(self.began + self.options.pace.time_of(&self.options.path, next)?)
+        let moved = self.options.pace.time_of(&self.options.path, next)?;
+        Some(self.began + self.options.duty.time_of(self.phase_of_motion, moved))
     }
 
     fn is_over(&self, now: Timestamp) -> bool {

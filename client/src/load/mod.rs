@@ -2,13 +2,14 @@
 //!
 //! Each client is a task with the session core and the socket of the real client, behind a link of its own; nothing is drawn.
 //!
-//! - [`path`]: where cameras go. [`pace`]: when. `client`: one client. `totals`, `histogram`: what they measure, in bounded memory.
+//! - [`path`]: where cameras go. [`pace`], [`duty`]: when. `client`: one client. `totals`, `histogram`: what they measure, in bounded memory.
 //! - [`metrics`]: what the server says about itself meanwhile. [`trace`], `ladder`: how the error of a view falls.
 //! - [`report`]: the figures for people and machines. [`page`], `plot`: the same as a page with plots.
 //!
 //! Links are in [`net`](crate::net), below the WebSocket.
 
 mod client;
+pub mod duty;
 mod histogram;
 mod ladder;
 pub mod metrics;
@@ -32,6 +33,7 @@ use crate::camera::{Detail, Viewport};
 use crate::net::link::LinkShape;
 use crate::net::target::Target;
 use client::{Shared, chain, play};
+use duty::Duty;
 use ladder::error_curves;
 use metrics::Reader;
 use pace::Pace;
@@ -59,6 +61,8 @@ pub struct LoadOptions {
     pub path_file: Option<PathFile>,
     /// When.
     pub pace: Pace,
+    /// How much of the time; of no account where views wait until the one before has settled.
+    pub duty: Duty,
     /// Size of the images that nobody draws.
     pub viewport: Viewport,
     /// Vertical opening angle in radians.

@@ -105,6 +105,10 @@ fn settings(page: &mut Page, report: &Report) {
         None if options.waits_until_settled => "the next when the one before has settled".into(),
         None => "at the times of the recording".into(),
     };
+    let views = match options.duty {
+        share if share < 1.0 => format!("{views}, {:.0} % of the time", 100.0 * share),
+        _ => views,
+    };
     let limit = options.triangle_limit;
     let limit = if limit == u32::MAX { "unlimited".into() } else { limit.to_string() };
     let rows = [

@@ -36,6 +36,8 @@ pub struct Asked {
     pub view_rate: Option<f64>,
     /// Whether they wait.
     pub waits_until_settled: bool,
+    /// Share of the time in which a client moves.
+    pub duty: f64,
     /// Size of the images in pixels.
     pub size_px: [u32; 2],
     /// Vertical opening angle in degrees.
@@ -338,6 +340,7 @@ impl Asked {
                 Pace::Settled | Pace::Recorded => None,
             },
             waits_until_settled: options.pace == Pace::Settled,
+            duty: options.duty.share(),
             size_px: [options.viewport.width_px, options.viewport.height_px],
             fov_deg: options.fov_y_rad.to_degrees(),
             tolerance_px: options.detail.tolerance_px,

@@ -18,6 +18,8 @@ const USAGE: &str = "usage: cargo xtask <command>
                 measure what Southern, Blake and Marais (2001) report, and write docs/paper.md with a plot
   soak [ops]    random sessions until so many ops have crossed (default 10^8), both ends compared after each batch
   growth [n..]  ingest generated scans of so many triangles each and write docs/ingest-growth.md with a plot
+  sessions [args]
+                measure how sessions grow and write docs/session-growth.md with plots: [--sizes N,..] [--sessions N,..]
   setup         install what the tests need on Debian (needs root)
 ";
 
@@ -33,6 +35,7 @@ fn main() -> ExitCode {
         "paper" => paper(&rest),
         "soak" => soak(rest.first().map_or("100000000", String::as_str)),
         "growth" => growth::growth(&rest),
+        "sessions" => sessions(&rest),
         "setup" => setup(),
         _ => {
             eprint!("{USAGE}");
@@ -80,6 +83,12 @@ fn paper(files: &[String]) -> Result<()> {
     let folder = root().join("docs");
     let folder = folder.to_str().context("the path of the project is not UTF-8")?;
     program("paper", &[&["--output".to_owned(), folder.to_owned()], files].concat())
+}
+
+fn sessions(arguments: &[String]) -> Result<()> {
+    let folder = root().join("docs");
+    let folder = folder.to_str().context("the path of the project is not UTF-8")?;
+    program("session_growth", &[&["--output".to_owned(), folder.to_owned()], arguments].concat())
 }
 
 /// Builds and runs a program of the tests in the caller's folder. Standard output is the program's alone.

@@ -5,6 +5,7 @@ use fastrand::Rng;
 use super::*;
 use crate::camera::{Detail, Viewport};
 use crate::load::LoadOptions;
+use crate::load::duty::Duty;
 use crate::load::metrics::{Reading, ServerFigures};
 use crate::load::pace::Pace;
 use crate::load::path::{Path, PathFile};
@@ -23,6 +24,7 @@ fn options() -> LoadOptions {
         path: Path::Jump,
         path_file: Some(PathFile { name: HOSTILE.into(), xxh3: "0123".into(), views: 5 }),
         pace: Pace::Settled,
+        duty: Duty::ALWAYS,
         viewport: Viewport { width_px: 640, height_px: 480 },
         fov_y_rad: 0.8,
         detail: Detail::default(),

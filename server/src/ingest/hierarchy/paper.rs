@@ -1,5 +1,5 @@
 //! The rules of Southern, Blake and Marais (2001), chapter 5, where the default differs: what an op waits for, what its
-//! visibility sphere bounds and what its error is. They are kept for comparison (`docs/paper-rules.md`).
+//! visibility sphere bounds and what its error is. They are kept for comparison (`docs/paper.md`).
 //!
 //! Works on a finished simplification and is told nothing of how it came about. Unlike the rest of ingest it holds tables of
 //! the whole model: [`Rules::bytes_per_vertex`].

@@ -1,8 +1,9 @@
 //! `paper [--output FOLDER] [FILE...]`: what Southern, Blake and Marais (2001), chapter 5, report, measured here: polygons along a
 //! camera path with and without un-refinement (Fig. 5.6), the size of the hierarchy (table in 5.3), and what the cache saves (5.2,
-//! "Client Cache"; 5.3). Writes `paper.md` and `paper-coherence.svg`; prints the former.
+//! "Client Cache"; 5.3), and what its rules cost beside the default (5.1). Writes `paper.md` and `paper-coherence.svg`; prints the former.
 
 mod plot;
+mod rules;
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -56,7 +57,8 @@ fn main() -> anyhow::Result<()> {
         let flight = fly(&test).with_context(|| source.name())?;
         let hierarchy = Hierarchy::of(&test.model)?;
         let caches = caches(&test)?;
-        subjects.push(Subject { name: source.name(), flight, hierarchy, caches });
+        let rules = rules::measure(source)?;
+        subjects.push(Subject { name: source.name(), flight, hierarchy, caches, rules });
     }
     let text = described(&subjects)?;
     std::fs::create_dir_all(&folder)?;
@@ -72,6 +74,7 @@ struct Subject {
     flight: Vec<Step>,
     hierarchy: Hierarchy,
     caches: Vec<Cached>,
+    rules: Vec<rules::Ruled>,
 }
 
 /// Triangles after a view of the flight.
@@ -232,6 +235,13 @@ fn caches(test: &TestModel) -> anyhow::Result<Vec<Cached>> {
 
 fn described(subjects: &[Subject]) -> anyhow::Result<String> {
     let mut out = String::from(include_str!("head.md"));
+    writeln!(out, "## The rules (5.1)\n\n{}\n", include_str!("rules.md").trim_end())?;
+    writeln!(out, "{}", rules::Ruled::HEAD)?;
+    writeln!(out, "|{}{}", " --- |".repeat(3), " ---: |".repeat(rules::Ruled::HEAD.matches('|').count() - 4))?;
+    for Subject { name, rules, .. } in subjects {
+        rules.iter().try_for_each(|ruled| writeln!(out, "{}", ruled.row(name)))?;
+    }
+    writeln!(out)?;
     writeln!(out, "## Coherence (Fig. 5.6)\n\n{}", include_str!("coherence.md").trim_end())?;
     writeln!(out, "\n| model | views | mean with collapses | most | without, at the end | ratio at the end |")?;
     writeln!(out, "| --- | ---: | ---: | ---: | ---: | ---: |")?;
