@@ -18,6 +18,8 @@ const USAGE: &str = "usage: cargo xtask <command>
                 measure what Southern, Blake and Marais (2001) report, and write docs/paper.md with a plot
   soak [ops]    random sessions until so many ops have crossed (default 10^8), both ends compared after each batch
   growth [n..]  ingest generated scans of so many triangles each and write docs/ingest-growth.md with a plot
+  flight [minutes] [file..]
+                random flight over slow links, 60 virtual minutes each: memory, limits, silences
   sessions [args]
                 measure how sessions grow and write docs/session-growth.md with plots: [--sizes N,..] [--sessions N,..]
   setup         install what the tests need on Debian (needs root)
@@ -36,6 +38,7 @@ fn main() -> ExitCode {
         "soak" => soak(rest.first().map_or("100000000", String::as_str)),
         "growth" => growth::growth(&rest),
         "sessions" => sessions(&rest),
+        "flight" => program("flight", &rest),
         "setup" => setup(),
         _ => {
             eprint!("{USAGE}");

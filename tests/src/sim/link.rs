@@ -27,17 +27,20 @@ pub struct Link {
     frames: VecDeque<(Timestamp, Vec<u8>)>,
     /// Bytes accepted so far.
     pub bytes: u64,
+    /// Bytes of the largest frame among them.
+    pub largest: usize,
 }
 
 impl Link {
     /// An idle link.
     pub fn new(shape: LinkShape) -> Self {
-        Self { shape, busy_until: Timestamp::default(), frames: VecDeque::new(), bytes: 0 }
+        Self { shape, busy_until: Timestamp::default(), frames: VecDeque::new(), bytes: 0, largest: 0 }
     }
 
     /// Sends a frame at `now`.
     pub fn send(&mut self, now: Timestamp, frame: Vec<u8>) {
         self.bytes += frame.len() as u64;
+        self.largest = self.largest.max(frame.len());
         let seconds = frame.len() as f64 / self.shape.bytes_per_sec;
         self.busy_until = self.busy_until.max(now) + Duration::from_secs_f64(seconds);
         self.frames.push_back((self.busy_until + self.shape.latency, frame));

@@ -136,6 +136,11 @@ impl Pair {
         self.down.bytes
     }
 
+    /// Bytes of the largest frame sent to the client so far.
+    pub fn largest_frame_down(&self) -> usize {
+        self.down.largest
+    }
+
     /// Pages that [`Disk::Slow`] has read.
     pub fn pages_read(&self) -> u32 {
         self.reader.as_ref().map_or(0, |reader| reader.pages_read)

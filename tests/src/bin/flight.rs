@@ -1,0 +1,200 @@
+//! `flight [MINUTES] [FILE...]`: so many virtual minutes of random flight over slow links, both ends and the link in one process.
+//!
+//! Every batch is compared by both ends. What is looked at beside that: whether the memory of both ends keeps growing, whether a
+//! limit is exceeded, and how long a client whose view has not settled hears nothing. One JSON object per link on standard
+//! output, progress on standard error; exit code 1 for a mismatch, for memory that grows, or for a silence that the link does not explain.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+use anyhow::ensure;
+use glam::DVec3;
+use lodestream_client::core::ClientConfig;
+use lodestream_protocol::view::View;
+use lodestream_server::ingest::sample;
+use lodestream_tests::model::TestModel;
+use lodestream_tests::sim::{LinkShape, Pair, PairConfig};
+use lodestream_tests::source::Source;
+use peak_alloc::PeakAlloc;
+use serde_json::json;
+
+#[global_allocator]
+static MEMORY: PeakAlloc = PeakAlloc;
+
+/// Between two views.
+const VIEW_INTERVAL: Duration = Duration::from_millis(100);
+/// Parts of a flight whose memory is compared.
+const PARTS: usize = 6;
+/// By how much the last part may exceed the most of those before it. A flight is random: the last may hold the largest view.
+const GROWTH: f64 = 1.25;
+/// What a silence may last beyond a round trip and the largest frame: two views and a little.
+const SLACK: Duration = Duration::from_millis(250);
+
+/// Bits per second, one-way latency, triangle limit.
+const LINKS: [(f64, Duration, u32); 3] = [
+    (256e3, Duration::from_millis(50), 20_000),
+    (1e6, Duration::from_millis(50), 100_000),
+    (20e6, Duration::from_millis(50), 500_000),
+];
+
+const MESHES: [&str; 1] = ["dragon_871k.ply"];
+const MADE: [Source; 1] = [Source::Made("stone-300k", || sample::generate(300_000, 0))];
+
+fn main() -> anyhow::Result<ExitCode> {
+    let (mut minutes, mut files) = (60, Vec::new());
+    for word in std::env::args().skip(1) {
+        match word.parse() {
+            Ok(number) => minutes = number,
+            Err(_) => files.push(PathBuf::from(word)),
+        }
+    }
+    ensure!((1..=100_000).contains(&minutes), "{minutes} minutes are none or too many");
+    let sources = if files.is_empty() { Source::of_targets(&MESHES, &MADE)? } else { Source::of_files(files) };
+    let mut is_well = true;
+    for source in sources {
+        let test = TestModel::new(source.mesh()?, None);
+        for link in LINKS {
+            is_well &= fly(&test, &source.name(), link, minutes)?;
+        }
+    }
+    Ok(if is_well { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// One flight; whether nothing is wrong with it. Both ends panic where they disagree.
+fn fly(test: &TestModel, name: &str, link: (f64, Duration, u32), minutes: u32) -> anyhow::Result<bool> {
+    let (rate, latency, limit) = link;
+    let shape = LinkShape { bytes_per_sec: rate / 8.0, latency };
+    let client = ClientConfig { triangle_limit: limit, ..PairConfig::default().client };
+    let config = PairConfig { down: shape, up: shape, client, ..PairConfig::default() };
+    let before = MEMORY.current_usage();
+    let mut pair = Pair::new(test.model.clone(), config);
+    let mut camera = Camera::new(test, limit);
+    let views = minutes * 600;
+    let started = Instant::now();
+    let (mut silence, mut heard_at, mut heard) = (Duration::ZERO, pair.now, 0);
+    let (mut session, mut both) = ([0u64; PARTS], [0usize; PARTS]);
+    for view in 0..views {
+        let was_settled = pair.client.settled().is_some();
+        pair.look(camera.next_view());
+        if was_settled && pair.client.settled().is_none() {
+            // Nothing was due before.
+            heard_at = pair.now;
+        }
+        let end = pair.now + VIEW_INTERVAL;
+        while pair.now < end {
+            if !pair.step(end.since(pair.now)) {
+                pair.now = end;
+            }
+            let frames = pair.client.stats().frames;
+            if frames != heard || pair.client.settled().is_some() {
+                silence = silence.max(if frames == heard { Duration::ZERO } else { pair.now.since(heard_at) });
+                (heard, heard_at) = (frames, pair.now);
+            }
+        }
+        let part = view as usize * PARTS / views as usize;
+        session[part] = session[part].max(pair.server.stats().heap_bytes);
+        both[part] = both[part].max(MEMORY.current_usage().saturating_sub(before));
+        if view % 6000 == 5999 {
+            eprintln!(
+                "{name}, {rate:.0} bit/s: {} of {minutes} min in {:.0} s",
+                (view + 1) / 600,
+                started.elapsed().as_secs_f64()
+            );
+        }
+    }
+    // What is on its way makes a difference, so both are compared when nothing is.
+    pair.settle();
+    let stats = pair.client.stats();
+    let ours = pair.server.mirror().map(|mirror| mirror.digest());
+    let theirs = pair.client.replica().map(|replica| replica.digest());
+    let frame = pair.largest_frame_down() as f64 * 8.0 / rate;
+    let explained = 2 * latency + Duration::from_secs_f64(frame) + SLACK;
+    let grows = |parts: &[f64; PARTS]| {
+        let most = parts[..PARTS - 1].iter().copied().fold(0.0, f64::max);
+        parts[PARTS - 1] > GROWTH * most
+    };
+    let (session_parts, both_parts) = (session.map(|b| b as f64), both.map(|b| b as f64));
+    let mut wrong = Vec::new();
+    if ours != theirs || stats.resets > 0 {
+        wrong.push("the two ends disagreed");
+    }
+    if stats.max_triangles_seen > limit {
+        wrong.push("the limit was exceeded");
+    }
+    if minutes >= 10 && (grows(&session_parts) || grows(&both_parts)) {
+        wrong.push("memory keeps growing");
+    }
+    if silence > explained {
+        wrong.push("a silence was longer than the link explains");
+    }
+    let line = json!({
+        "model": name, "bits_per_s": rate, "round_trip_ms": 2 * latency.as_millis() as u64, "limit": limit, "minutes": minutes,
+        "views": views, "splits": stats.splits, "collapses": stats.collapses, "bytes": pair.bytes_down(),
+        "resets": stats.resets, "most_triangles": stats.max_triangles_seen,
+        "longest_silence_ms": silence.as_secs_f64() * 1e3, "explained_ms": explained.as_secs_f64() * 1e3,
+        "session_bytes": session, "both_ends_bytes": both, "wrong": wrong,
+    });
+    println!("{line}");
+    Ok(wrong.is_empty())
+}
+
+/// Flies from point to point around the model, looks at its parts, and sometimes stops or jumps.
+struct Camera {
+    rng: fastrand::Rng,
+    center: DVec3,
+    radius: f64,
+    eye: DVec3,
+    target: DVec3,
+    goal: (DVec3, DVec3),
+    rest: u32,
+    limit: u32,
+}
+
+impl Camera {
+    fn new(test: &TestModel, limit: u32) -> Self {
+        let (lo, hi) = test.clean.bounding_box().expect("the mesh has vertices");
+        let (lo, hi) = (DVec3::from_array(lo), DVec3::from_array(hi));
+        let (center, radius) = ((lo + hi) / 2.0, (hi - lo).length() / 2.0);
+        let eye = center + DVec3::Z * 2.6 * radius;
+        Self {
+            rng: fastrand::Rng::with_seed(11),
+            center,
+            radius,
+            eye,
+            target: center,
+            goal: (eye, center),
+            rest: 0,
+            limit,
+        }
+    }
+
+    fn point(&mut self, least: f64, most: f64) -> DVec3 {
+        let direction = DVec3::from_array(std::array::from_fn(|_| self.rng.f64() - 0.5)).normalize_or(DVec3::Z);
+        self.center + direction * self.radius * (least + (most - least) * self.rng.f64())
+    }
+
+    fn next_view(&mut self) -> View {
+        match self.rng.u32(..1000) {
+            0..30 => self.goal = (self.point(0.7, 2.6), self.point(0.0, 0.5)),
+            30..40 => self.rest = 20 + self.rng.u32(..60),
+            40..43 => {
+                self.goal = (self.point(0.9, 3.0), self.center);
+                (self.eye, self.target) = self.goal;
+            }
+            _ => {}
+        }
+        if self.rest > 0 {
+            self.rest -= 1;
+        } else {
+            self.eye += (self.goal.0 - self.eye) * 0.04;
+            self.target += (self.goal.1 - self.target) * 0.04;
+        }
+        View {
+            near: 1e-3 * self.radius,
+            aspect: 16.0 / 9.0,
+            triangle_limit: self.limit,
+            ..View::perspective(self.eye, self.target, 45f32.to_radians())
+        }
+    }
+}
