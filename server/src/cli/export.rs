@@ -49,7 +49,7 @@ pub fn run(args: ExportArgs) -> anyhow::Result<()> {
     };
     let mesh = mesh.with_context(|| format!("model {id}"))?;
     write_mesh(&mesh, &args.output)?;
-    println!("{}: {} vertices, {} triangles", args.output.display(), mesh.positions.len(), mesh.faces.len());
+    say!("{}: {} vertices, {} triangles", args.output.display(), mesh.positions.len(), mesh.faces.len());
     Ok(())
 }
 

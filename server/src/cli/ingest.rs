@@ -283,25 +283,29 @@ impl Published {
                 "seconds": seconds, "triangles_per_second": rate, "read": read,
                 "clean": self.cleaned, "build": self.built, "usage": Usage::now(),
             });
-            println!("{line}");
+            say!("{line}");
             return Ok(());
         }
         let Self { id, built, bytes, .. } = self;
-        println!(
+        say!(
             "{}: {} triangles, {} splits, {bytes} bytes in {seconds:.1} s ({:.2} M triangles/s)",
             id.as_str(),
             built.triangles,
             built.splits,
             rate / 1e6
         );
-        println!("  base of {} triangles, {} spawns, {} bits", built.base_triangles, built.spawns, built.bits);
+        say!("  base of {} triangles, {} spawns, {} bits", built.base_triangles, built.spawns, built.bits);
         if let Some(Resampled { step, moved, largest }) = built.resampled {
             let step = step.map_or(1, |step| step.get());
-            println!("  {moved} vertices moved to multiples of {step} lattice steps, by at most {largest:.1}");
+            say!("  {moved} vertices moved to multiples of {step} lattice steps, by at most {largest:.1}");
         }
-        println!("  {}", self.cleaned.to_string().trim_end().replace('\n', "\n  "));
-        read.notes.iter().for_each(|what| println!("  {what}"));
-        read.not_carried.iter().for_each(|what| println!("  not carried: {what}"));
+        say!("  {}", self.cleaned.to_string().trim_end().replace('\n', "\n  "));
+        for what in &read.notes {
+            say!("  {what}");
+        }
+        for what in &read.not_carried {
+            say!("  not carried: {what}");
+        }
         Ok(())
     }
 }

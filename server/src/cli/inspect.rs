@@ -37,9 +37,9 @@ pub fn run(args: InspectArgs) -> anyhow::Result<()> {
     }
     let found = crate::pack::inspect(&model).with_context(|| format!("model {id}"))?;
     if args.json {
-        println!("{}", serde_json::to_string(&found)?)
+        say!("{}", serde_json::to_string(&found)?);
     } else {
-        print!("{found}")
+        say!("{}", found.to_string().trim_end());
     }
     Ok(())
 }

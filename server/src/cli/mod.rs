@@ -2,6 +2,13 @@
 //!
 //! Results go to standard output; progress, logs and errors to standard error. Exit codes: 0 done, 1 failed, 2 usage.
 
+/// Prints a line of results, like `println!` but for errors: those go to the caller, and a reader who has gone away is none.
+macro_rules! say {
+    ($($text:tt)*) => {
+        $crate::cli::say_line(format_args!($($text)*))?
+    };
+}
+
 pub mod choice;
 pub mod demo;
 pub mod export;
@@ -43,6 +50,15 @@ enum Command {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct UsageError(pub String);
+
+/// See `say!`.
+fn say_line(text: std::fmt::Arguments<'_>) -> std::io::Result<()> {
+    match writeln!(std::io::stdout(), "{text}") {
+        // Such as `head`, which has read what it wanted.
+        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+        result => result,
+    }
+}
 
 /// The id of a model as given on the command line.
 fn model_id(text: &str) -> Result<crate::repository::ModelId, UsageError> {

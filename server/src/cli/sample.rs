@@ -31,7 +31,7 @@ pub fn run(args: SampleArgs) -> anyhow::Result<()> {
     let triangles = sample_size(args.triangles)?;
     let mesh = generate_with(&SampleOptions { triangles, seed: args.seed, noise: args.noise });
     write_mesh(&mesh, &args.output)?;
-    println!("{}: {} vertices, {} triangles", args.output.display(), mesh.positions.len(), mesh.faces.len());
+    say!("{}: {} vertices, {} triangles", args.output.display(), mesh.positions.len(), mesh.faces.len());
     Ok(())
 }
 

@@ -86,17 +86,21 @@ pub fn run(args: ScreenErrorArgs) -> anyhow::Result<()> {
         let mut line = serde_json::to_value(error)?;
         line["original_triangles"] = original.faces.len().into();
         line["mesh_triangles"] = mesh.faces.len().into();
-        println!("{line}");
+        say!("{line}");
         return Ok(());
     }
     for (name, p) in [("unoccluded", &error.unoccluded), ("front-facing", &error.front_facing)] {
-        println!(
+        say!(
             "{name:<13} {} vertices: p50 {:.3}  p99 {:.3}  p99.9 {:.3}  maximum {:.3} px",
-            p.vertices, p.p50, p.p99, p.p999, p.max
+            p.vertices,
+            p.p50,
+            p.p99,
+            p.p999,
+            p.max
         );
     }
     if let Some(color) = &error.color {
-        println!("colour        mean {:.2} %, maximum {:.1} % of full scale", 100.0 * color.mean, 100.0 * color.max);
+        say!("colour        mean {:.2} %, maximum {:.1} % of full scale", 100.0 * color.mean, 100.0 * color.max);
     }
     Ok(())
 }

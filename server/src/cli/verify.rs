@@ -57,37 +57,42 @@ pub fn run(args: VerifyArgs) -> anyhow::Result<()> {
     if args.json {
         let mut line = serde_json::to_value(report)?;
         line["calibration"] = serde_json::to_value(&calibration)?;
-        println!("{line}");
+        say!("{line}");
         return Ok(());
     }
-    println!(
+    say!(
         "{id}: sound; {} bytes, {} pages, {} spawns, {} splits replayed to {} vertices and {} triangles, hash {:016x}",
-        report.bytes, report.pages, report.spawns, report.splits, report.vertices, report.triangles, report.hash
+        report.bytes,
+        report.pages,
+        report.spawns,
+        report.splits,
+        report.vertices,
+        report.triangles,
+        report.hash
     );
     if let Some(calibration) = &calibration {
-        print(calibration);
+        print(calibration)?;
     }
     Ok(())
 }
 
-fn print(calibration: &Calibration) {
+fn print(calibration: &Calibration) -> std::io::Result<()> {
     let Calibration { views, seed, error, front_facing, .. } = calibration;
-    println!(
+    say!(
         "screen error over {views} random views (seed {seed}), {} vertices, in units of the tolerance:",
         error.vertices
     );
     for (name, p) in [("unoccluded", error), ("front-facing", front_facing)] {
-        println!("  {name:<13} p50 {:.3}  p99 {:.3}  p99.9 {:.3}  maximum {:.3}", p.p50, p.p99, p.p999, p.max);
+        say!("  {name:<13} p50 {:.3}  p99 {:.3}  p99.9 {:.3}  maximum {:.3}", p.p50, p.p99, p.p999, p.max);
     }
-    println!(
+    say!(
         "  worst single view: p99.9 {:.3}, maximum in view {}; {} views with a vertex over the tolerance",
-        calibration.worst_view_p999, calibration.worst_view, calibration.views_over_tolerance
+        calibration.worst_view_p999,
+        calibration.worst_view,
+        calibration.views_over_tolerance
     );
     if let Some(color) = &calibration.color {
-        println!(
-            "  colour difference: mean {:.2} %, maximum {:.1} % of full scale",
-            100.0 * color.mean,
-            100.0 * color.max
-        );
+        say!("  colour difference: mean {:.2} %, maximum {:.1} % of full scale", 100.0 * color.mean, 100.0 * color.max);
     }
+    Ok(())
 }
