@@ -243,3 +243,21 @@ fn a_frustum_covers_what_its_camera_sees() {
         assert!(covered(&image) > 2000.0);
     }
 }
+
+#[test]
+fn without_storage_buffers_images_are_flat_and_say_so() {
+    let (Some(mut studio), Some(mut webgl)) = (Studio::open(), Studio::as_webgl()) else { return };
+    let camera = looking(DVec3::new(2.0, 1.0, 3.0), DVec3::ZERO);
+    let plane = Plane { normal: DVec3::new(-1.0, 0.2, -0.5), offset: 0.1 };
+    for section in [None, Some(plane)] {
+        let flat = RenderOptions { section, ..shaded(Shading::Flat) };
+        let expected = studio.shoot_soup("webgl-not", &shell(), &camera, &flat);
+        let asked = RenderOptions { wireframe: true, refinement_colors: true, shading: Shading::Smooth, ..flat };
+        let image = webgl.shoot_soup("webgl", &shell(), &camera, &asked);
+        let stats = webgl.offscreen.stats();
+        assert!(!stats.is_smooth && !stats.has_details && !stats.computed_normals, "{stats:?}");
+        // Only the rims of the cut may differ: whole pixels are cut there.
+        let off = expected.rgba.iter().zip(&image.rgba).filter(|(a, b)| a.abs_diff(**b) > 1).count();
+        assert!(off <= if section.is_some() { 4 * 1500 } else { 0 }, "{off} bytes differ");
+    }
+}

@@ -6,7 +6,7 @@
 //! - [`camera`]: the camera in the shaders' terms. [`upload`]: dirty slots to an upload plan, plain data.
 //! - [`options`]: the shading formula. [`globals`]: camera and options for the shaders. [`lines`]: what is drawn on top.
 //! - [`buffers`]: executes plans. `corners`: normals by corner. [`pipeline`]: shaders and pipelines. [`renderer`]: one image.
-//! - [`gpu`]: instance, adapter, device. `readback`, `offscreen`, `image`: images without a window (not in browsers).
+//! - [`gpu`]: instance, adapter, device. [`surface`]: windows and canvases. `readback`, `offscreen`, `image`: images without a window (not in browsers).
 //!
 //! This module reads replicas; it never sees messages and decides no op.
 
@@ -25,6 +25,7 @@ pub mod pipeline;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod readback;
 pub mod renderer;
+pub mod surface;
 mod target;
 pub mod upload;
 
@@ -40,3 +41,4 @@ pub use lines::Line;
 pub use offscreen::{Offscreen, render_image};
 pub use options::{RenderOptions, Shading};
 pub use renderer::{DrawStats, Renderer};
+pub use surface::{Acquired, Pacing, SurfaceTarget};

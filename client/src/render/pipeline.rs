@@ -139,9 +139,14 @@ impl Pipelines {
                 Geometry::Flat => ("vertex_flat", "fragment_flat", &[][..], by_corner()),
                 Geometry::Smooth => ("vertex_smooth", "fragment_smooth", &[][..], by_corner()),
             };
+            let cut = match (kind.is_cut, &self.corners) {
+                (false, _) => "",
+                (true, Some(_)) => "_cut",
+                (true, None) => "_discard",
+            };
             let shape = Shape {
                 vertex,
-                fragment: &format!("{fragment}{}", if kind.is_cut { "_cut" } else { "" }),
+                fragment: &format!("{fragment}{cut}"),
                 buffers,
                 writes_depth: true,
                 has_details: kind.has_details,

@@ -21,7 +21,16 @@ pub(crate) struct Studio {
 
 impl Studio {
     pub(crate) fn open() -> Option<Self> {
-        match Offscreen::new(&GpuOptions::from_env()) {
+        Self::with(&GpuOptions::from_env())
+    }
+
+    /// As a browser with nothing but WebGL 2 has it.
+    pub(crate) fn as_webgl() -> Option<Self> {
+        Self::with(&GpuOptions { as_webgl: true, ..GpuOptions::from_env() })
+    }
+
+    fn with(options: &GpuOptions) -> Option<Self> {
+        match Offscreen::new(options) {
             Ok(offscreen) => Some(Self { offscreen, lattice: lattice() }),
             Err(RenderError::NoAdapter) => {
                 eprintln!("skipped: no graphics adapter");

@@ -197,8 +197,19 @@ struct Cut {
     @builtin(sample_mask) samples: u32,
 }
 
+fn cut_color(is_front: bool, color: vec4<f32>) -> vec4<f32> {
+    if globals.section_color.w > 0.0 && !is_front {
+        return encoded(globals.section_color.rgb);
+    }
+    return color;
+}
+
+fn kept(relative: vec3<f32>) -> f32 {
+    return dot(globals.section.xyz, relative) + globals.section.w;
+}
+
 fn cut(in: Surface, is_front: bool, color: vec4<f32>) -> Cut {
-    let inside = dot(globals.section.xyz, in.relative) + globals.section.w;
+    let inside = kept(in.relative);
     let slope = vec2(dpdx(inside), dpdy(inside));
     // Where WebGPU puts the four samples of a pixel, from its middle.
     let samples = vec4(
@@ -207,14 +218,8 @@ fn cut(in: Surface, is_front: bool, color: vec4<f32>) -> Cut {
         dot(slope, vec2(-0.375, 0.125)),
         dot(slope, vec2(0.125, 0.375)),
     );
-    let kept = vec4(inside) + samples >= vec4(0.0);
-    var out: Cut;
-    out.samples = dot(select(vec4<u32>(), vec4(1u, 2u, 4u, 8u), kept), vec4(1u));
-    out.color = color;
-    if globals.section_color.w > 0.0 && !is_front {
-        out.color = encoded(globals.section_color.rgb);
-    }
-    return out;
+    let is_kept = vec4(inside) + samples >= vec4(0.0);
+    return Cut(cut_color(is_front, color), dot(select(vec4<u32>(), vec4(1u, 2u, 4u, 8u), is_kept), vec4(1u)));
 }
 
 @fragment
@@ -225,4 +230,14 @@ fn fragment_flat_cut(in: Surface, @builtin(front_facing) is_front: bool) -> Cut 
 @fragment
 fn fragment_smooth_cut(in: Surface, @builtin(front_facing) is_front: bool) -> Cut {
     return cut(in, is_front, smooth_color(in, is_front));
+}
+
+// WebGL has no masks: whole pixels there.
+@fragment
+fn fragment_flat_discard(in: Surface, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
+    let color = flat_color(in, is_front);
+    if kept(in.relative) < 0.0 {
+        discard;
+    }
+    return cut_color(is_front, color);
 }

@@ -26,7 +26,7 @@ struct Line {
     @builtin(position) clip: vec4<f32>,
     @location(0) color: vec4<f32>,
     // Distance from the middle of the line in pixels.
-    @location(1) @interpolate(linear) across_px: f32,
+    @location(1) across_px: f32,
 }
 
 const HALF_WIDTH_PX: f32 = 0.8;
