@@ -7,7 +7,9 @@ mod studio;
 
 use glam::{DVec3, Vec3};
 use lodestream_client::render::lines::{Line, frustum};
-use lodestream_client::render::options::{CLAY_LINEAR, SECTION_LINEAR, level, level_color, light, srgb_encode};
+use lodestream_client::render::options::{
+    CLAY_LINEAR, SECTION_LINEAR, level, level_color, light, srgb_decode, srgb_encode,
+};
 use lodestream_client::render::{Image, RenderCamera, RenderOptions, Shading};
 use lodestream_protocol::view::{Plane, Projection};
 use meshes::{Soup, cube, icosphere, sheet};
@@ -260,4 +262,80 @@ fn without_storage_buffers_images_are_flat_and_say_so() {
         let off = expected.rgba.iter().zip(&image.rgba).filter(|(a, b)| a.abs_diff(**b) > 1).count();
         assert!(off <= if section.is_some() { 4 * 1500 } else { 0 }, "{off} bytes differ");
     }
+}
+
+/// Share of the light that occlusion leaves, by the green of a pixel.
+fn left_of(with: [u8; 3], without: [u8; 3]) -> f64 {
+    srgb_decode(with[1]) / srgb_decode(without[1])
+}
+
+#[test]
+fn crevices_are_darker_and_nothing_else() {
+    let Some(mut studio) = Studio::open() else { return };
+    // A gutter with walls at right angles, between two floors.
+    let gutter = sheet(64, |x, _| if x.abs() < 0.3 { x.abs() - 0.3 } else { 0.0 });
+    let perspective = looking(DVec3::new(0.0, 0.0, 3.0), DVec3::ZERO);
+    let parallel = RenderCamera { projection: Projection::Orthographic { height: 2.5 }, ..perspective };
+    for camera in [perspective, parallel] {
+        let occluded = RenderOptions { occlusion: 1.0, ..shaded(Shading::Flat) };
+        let without = studio.shoot_soup("gutter-without", &gutter, &camera, &shaded(Shading::Flat));
+        assert!(!studio.offscreen.stats().has_occlusion);
+        let with = studio.shoot_soup("gutter", &gutter, &camera, &occluded);
+        assert!(studio.offscreen.stats().has_occlusion);
+        let left = |x: f64, y: f64| {
+            let z = if x.abs() < 0.3 { x.abs() - 0.3 } else { 0.0 };
+            let pixel = pixel_of(&camera, DVec3::new(x, y, z));
+            left_of(at(&with, pixel), at(&without, pixel))
+        };
+        for y in [-0.4, 0.03, 0.5] {
+            assert!(left(0.8, y) > 0.97 && left(-0.7, y) > 0.97, "floors are free: {} {}", left(0.8, y), left(-0.7, y));
+            let walls = [0.02, 0.07, 0.12, 0.2].map(|x| (left(x, y) + left(-x, y)) / 2.0);
+            assert!(walls.is_sorted() && walls[0] < 0.6, "darker and darker towards the bottom: {walls:?}");
+            assert!((left(0.1, y) - left(-0.1, y)).abs() < 0.06, "both walls alike");
+        }
+        // What occludes weakly leaves more.
+        let half = RenderOptions { occlusion: 0.5, ..occluded };
+        let half = studio.shoot_soup("gutter-half", &gutter, &camera, &half);
+        let bottom = pixel_of(&camera, DVec3::new(0.02, 0.03, -0.28));
+        let expected = 0.5 + 0.5 * left_of(at(&with, bottom), at(&without, bottom));
+        assert!((left_of(at(&half, bottom), at(&without, bottom)) - expected).abs() < 0.03);
+    }
+}
+
+#[test]
+fn occlusion_leaves_round_things_what_is_far_behind_and_cuts_alone() {
+    let Some(mut studio) = Studio::open() else { return };
+    let occluded = RenderOptions { occlusion: 1.0, ..RenderOptions::default() };
+    let camera = looking(DVec3::new(0.0, 0.0, 4.0), DVec3::ZERO);
+    let mut sphere = icosphere(6).replica(&studio.lattice);
+    let without = studio.shoot("round-without", &mut sphere, &camera, &RenderOptions::default());
+    let with = studio.shoot("round", &mut sphere, &camera, &occluded);
+    for (a, b) in without.rgba.chunks_exact(4).zip(with.rgba.chunks_exact(4)) {
+        assert!(f64::from(b[1]) >= 0.93 * f64::from(a[1]) - 1.0 && b[1] <= a[1] + 1, "{a:?} became {b:?}");
+        assert_eq!(b[3], 255);
+    }
+    // A small ball far in front of a wall: no halo around it.
+    let mut scene = sheet(8, |_, _| -1.5);
+    let ball = icosphere(4).moved(|p| p * 0.1 + DVec3::Z * 1.5);
+    let first = scene.points.len() as u32;
+    scene.points.extend(ball.points);
+    scene.colors.extend(ball.colors);
+    scene.faces.extend(ball.faces.iter().map(|face| face.map(|v| v + first)));
+    let without = studio.shoot_soup("halo-without", &scene, &camera, &RenderOptions::default());
+    let with = studio.shoot_soup("halo", &scene, &camera, &occluded);
+    let darkest = (260..380).flat_map(|x| (180..300).map(move |y| (x, y)));
+    let darkest = darkest.map(|(x, y)| left_of(with.pixel(x, y), without.pixel(x, y))).fold(1.0, f64::min);
+    assert!(darkest > 0.9, "a halo leaves {darkest}");
+    // The cut of a section has no shape, whatever lies behind it; the cavity has.
+    let plane = Plane { normal: DVec3::NEG_Z, offset: 0.2 };
+    let cut = RenderOptions { section: Some(plane), ..occluded };
+    let image = studio.shoot_soup("section-occluded", &shell(), &camera, &cut);
+    for x in [0.65, 0.75, 0.85, 0.95] {
+        let pixel = at(&image, pixel_of(&camera, DVec3::new(x, 0.0, 0.2)));
+        assert_close(pixel, SECTION_LINEAR.map(srgb_encode), 1.0);
+    }
+    assert!(image.rgba.chunks_exact(4).all(|p| p[3] == 255), "images are opaque");
+    let Some(mut webgl) = Studio::as_webgl() else { return };
+    webgl.shoot("webgl-occluded", &mut icosphere(3).replica(&studio.lattice), &camera, &occluded);
+    assert!(!webgl.offscreen.stats().has_occlusion);
 }

@@ -42,12 +42,14 @@ pub struct Globals {
     pub level_zero: f32,
     /// How much darker crevices are.
     pub occlusion_strength: f32,
+    /// Alpha of the cut: 0 where passes follow that have to tell it from surfaces.
+    pub section_alpha: f32,
     /// Fills the last 16 bytes.
-    pub unused: [u32; 2],
+    pub unused: u32,
 }
 
 impl Globals {
-    /// Composes everything but `slot_end` and `capacity_slots`.
+    /// Composes everything but `slot_end`, `capacity_slots` and `section_alpha`, which is left at 1.
     pub fn new(
         camera: CameraUniform,
         lattice: &Lattice,
@@ -88,7 +90,8 @@ impl Globals {
             details: details.into_iter().map(|(is_on, bit)| if is_on { bit } else { 0 }).sum(),
             level_zero: f64::from(lattice.max_coordinate()).log2() as f32,
             occlusion_strength: options.occlusion.clamp(0.0, 1.0),
-            unused: [0; 2],
+            section_alpha: 1.0,
+            unused: 0,
         }
     }
 }

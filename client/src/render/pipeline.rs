@@ -13,6 +13,9 @@ pub const MESH_SHADER: &str = concat!(include_str!("shaders/globals.wgsl"), incl
 pub const NORMALS_SHADER: &str = concat!(include_str!("shaders/globals.wgsl"), include_str!("shaders/normals.wgsl"));
 /// WGSL of background and lines.
 pub const SCENERY_SHADER: &str = concat!(include_str!("shaders/globals.wgsl"), include_str!("shaders/scenery.wgsl"));
+/// WGSL of the passes that darken crevices.
+pub const OCCLUSION_SHADER: &str =
+    concat!(include_str!("shaders/globals.wgsl"), include_str!("shaders/occlusion.wgsl"));
 
 /// Samples per pixel.
 pub const SAMPLES: u32 = 4;

@@ -11,6 +11,7 @@ use super::corners::CornerBuffers;
 use super::error::RenderError;
 use super::globals::{Globals, encode};
 use super::lines::{Line, gpu_lines};
+use super::occlusion::{OcclusionBuffers, OcclusionPipelines};
 use super::options::{RenderOptions, Shading};
 use super::pipeline::{Geometry, MeshPipeline, Pipelines};
 use super::target::Canvas;
@@ -31,6 +32,9 @@ pub struct Renderer {
     globals_group: BindGroup,
     corners: Option<CornerBuffers>,
     canvas: Option<Canvas>,
+    occlusion_pipelines: Option<OcclusionPipelines>,
+    /// Of the canvas.
+    occlusion: Option<OcclusionBuffers>,
     lines: Vec<Line>,
 }
 
@@ -43,6 +47,8 @@ pub struct DrawStats {
     pub computed_normals: bool,
     /// Whether smooth shading was asked for and possible.
     pub is_smooth: bool,
+    /// Whether occlusion was asked for and possible.
+    pub has_occlusion: bool,
     /// Whether wireframe, refinement colours or tinted backs were asked for and possible.
     pub has_details: bool,
 }
@@ -54,6 +60,7 @@ struct Image<'a> {
     pipeline: MeshPipeline,
     /// Instances of lines and their number: first all that are hidden, then all that are seen.
     lines: Option<(Buffer, u32)>,
+    has_occlusion: bool,
 }
 
 impl Renderer {
@@ -81,6 +88,8 @@ impl Renderer {
             globals_group,
             corners: None,
             canvas: None,
+            occlusion_pipelines: None,
+            occlusion: None,
             lines: Vec::new(),
         }
     }
@@ -102,12 +111,19 @@ impl Renderer {
     /// [`RenderError::ImageSize`].
     pub fn resize(&mut self, width: u32, height: u32) -> Result<(), RenderError> {
         let size = [width, height];
-        if self.canvas.as_ref().is_some_and(|canvas| canvas.size == size) {
+        let held = self.canvas.as_ref();
+        if held.is_some_and(|canvas| canvas.size == size) {
             return Ok(());
         }
+        let is_read = held.is_some_and(|canvas| canvas.is_read);
+        self.replace_canvas(size, is_read)
+    }
+
+    fn replace_canvas(&mut self, size: [u32; 2], is_read: bool) -> Result<(), RenderError> {
         // The old one goes first: both may not fit at once.
+        self.occlusion = None;
         self.canvas = None;
-        self.canvas = Some(Canvas::new(&self.device, self.format, size, false)?);
+        self.canvas = Some(Canvas::new(&self.device, self.format, size, is_read)?);
         Ok(())
     }
 
@@ -115,7 +131,7 @@ impl Renderer {
     /// submits. The buffers equal the replica then.
     ///
     /// # Errors
-    /// [`RenderError::MeshTooLarge`]; nothing is drawn then.
+    /// [`RenderError::MeshTooLarge`], [`RenderError::ImageSize`]; nothing is drawn then.
     ///
     /// # Panics
     /// Without a [`resize`](Self::resize) before.
@@ -137,7 +153,10 @@ impl Renderer {
         let size = self.canvas.as_ref().expect("resize comes before draw").size;
         let aspect = f64::from(size[0]) / f64::from(size[1]);
         let camera = CameraUniform::new(camera, lattice, aspect, options.light_direction());
-        self.write_globals(Globals::new(camera, lattice, options, size, self.format));
+        let has_occlusion = options.occlusion > 0.0 && self.prepare_occlusion(size)?;
+        let mut globals = Globals::new(camera, lattice, options, size, self.format);
+        globals.section_alpha = if has_occlusion { 0.0 } else { 1.0 };
+        self.write_globals(globals);
 
         let by_corner = (options.shading == Shading::Smooth || options.has_details()) && self.prepare_corners();
         let is_smooth = by_corner && options.shading == Shading::Smooth;
@@ -151,16 +170,42 @@ impl Renderer {
             has_details: by_corner && options.has_details(),
             is_cut: options.unit_section().is_some(),
         };
-        let image = Image { target, options, pipeline, lines: self.upload_lines(&camera, lattice) };
+        let image = Image { target, options, pipeline, lines: self.upload_lines(&camera, lattice), has_occlusion };
         self.encode_pass(&mut encoder, &image);
+        if let (true, Some(pipelines), Some(buffers)) = (has_occlusion, &self.occlusion_pipelines, &self.occlusion) {
+            buffers.encode(&mut encoder, pipelines, &self.globals_group, target, pipeline.is_cut);
+        }
         self.queue.submit([encoder.finish()]);
-        Ok(DrawStats { uploaded_bytes: plan.bytes(), computed_normals, is_smooth, has_details: pipeline.has_details })
+        Ok(DrawStats {
+            uploaded_bytes: plan.bytes(),
+            computed_normals,
+            is_smooth,
+            has_occlusion,
+            has_details: pipeline.has_details,
+        })
     }
 
     fn write_globals(&self, mut globals: Globals) {
         globals.slot_end = self.mesh.slot_end();
         globals.capacity_slots = self.mesh.capacity_slots();
         self.queue.write_buffer(&self.globals, 0, bytemuck::bytes_of(&globals));
+    }
+
+    /// Makes what occlusion needs. False where the device cannot: passes that read samples are beyond WebGL.
+    fn prepare_occlusion(&mut self, size: [u32; 2]) -> Result<bool, RenderError> {
+        if self.pipelines.corners.is_none() {
+            return Ok(false);
+        }
+        if self.canvas.as_ref().is_none_or(|canvas| !canvas.is_read) {
+            self.replace_canvas(size, true)?;
+        }
+        let pipelines = self
+            .occlusion_pipelines
+            .get_or_insert_with(|| OcclusionPipelines::new(&self.device, &self.pipelines.globals, self.format));
+        if let (None, Some(canvas)) = (&self.occlusion, &self.canvas) {
+            self.occlusion = Some(OcclusionBuffers::new(&self.device, pipelines, canvas));
+        }
+        Ok(true)
     }
 
     /// Makes the buffers for drawing by corner as large as the mesh's. False where the device cannot.
@@ -203,6 +248,7 @@ impl Renderer {
 
     fn encode_pass(&mut self, encoder: &mut CommandEncoder, image: &Image<'_>) {
         let canvas = self.canvas.as_ref().expect("resize comes before draw");
+        let keep = |is_kept| if is_kept { wgpu::StoreOp::Store } else { wgpu::StoreOp::Discard };
         let [r, g, b] = image.options.background.map(|byte| encode(self.format, byte));
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("mesh"),
@@ -212,12 +258,12 @@ impl Renderer {
                 resolve_target: Some(image.target),
                 ops: wgpu::Operations {
                     load: wgpu::LoadOp::Clear(wgpu::Color { r, g, b, a: 1.0 }),
-                    store: wgpu::StoreOp::Discard,
+                    store: keep(image.has_occlusion && image.pipeline.is_cut),
                 },
             })],
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
                 view: &canvas.depth,
-                depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Discard }),
+                depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: keep(image.has_occlusion) }),
                 stencil_ops: None,
             }),
             timestamp_writes: None,

@@ -9,12 +9,13 @@ use super::pipeline::{DEPTH_FORMAT, SAMPLES};
 #[derive(Debug)]
 pub(super) struct Canvas {
     pub(super) size: [u32; 2],
+    pub(super) is_read: bool,
     pub(super) color: TextureView,
     pub(super) depth: TextureView,
 }
 
 impl Canvas {
-    /// `reads_depth`: whether later passes read the depth.
+    /// `is_read`: whether later passes read colour and depth.
     ///
     /// # Errors
     /// [`RenderError::ImageSize`].
@@ -22,10 +23,11 @@ impl Canvas {
         device: &Device,
         format: TextureFormat,
         size: [u32; 2],
-        reads_depth: bool,
+        is_read: bool,
     ) -> Result<Self, RenderError> {
         check_size(device, size[0], size[1])?;
-        let view = |label, format, usage| {
+        let usage = if is_read { TextureUsages::TEXTURE_BINDING } else { TextureUsages::empty() };
+        let view = |label, format| {
             let texture = device.create_texture(&wgpu::TextureDescriptor {
                 label: Some(label),
                 size: wgpu::Extent3d { width: size[0], height: size[1], depth_or_array_layers: 1 },
@@ -38,12 +40,7 @@ impl Canvas {
             });
             texture.create_view(&Default::default())
         };
-        let depth_usage = if reads_depth { TextureUsages::TEXTURE_BINDING } else { TextureUsages::empty() };
-        Ok(Self {
-            size,
-            color: view("color", format, TextureUsages::empty()),
-            depth: view("depth", DEPTH_FORMAT, depth_usage),
-        })
+        Ok(Self { size, is_read, color: view("color", format), depth: view("depth", DEPTH_FORMAT) })
     }
 }
 

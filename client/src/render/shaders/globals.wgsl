@@ -20,8 +20,8 @@ struct Globals {
     details: u32,
     level_zero: f32,
     occlusion_strength: f32,
-    unused_0: u32,
-    unused_1: u32,
+    section_alpha: f32, // 0 if a later pass is to know what is a cut
+    unused: u32,
 }
 
 // Bits of `details`.

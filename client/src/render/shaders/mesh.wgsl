@@ -199,7 +199,7 @@ struct Cut {
 
 fn cut_color(is_front: bool, color: vec4<f32>) -> vec4<f32> {
     if globals.section_color.w > 0.0 && !is_front {
-        return encoded(globals.section_color.rgb);
+        return vec4(encoded(globals.section_color.rgb).rgb, globals.section_alpha);
     }
     return color;
 }
