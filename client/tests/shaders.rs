@@ -2,7 +2,9 @@
 
 #![cfg(feature = "render")]
 
-use lodestream_client::render::pipeline::{MESH_SHADER, NORMALS_SHADER, OCCLUSION_SHADER, SCENERY_SHADER};
+use lodestream_client::render::pipeline::{
+    MESH_SHADER, MORPH_SHADER, NORMALS_SHADER, OCCLUSION_SHADER, SCENERY_SHADER,
+};
 use naga::ShaderStage::{self, Fragment, Vertex};
 use naga::back::{glsl, pipeline_constants};
 use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
@@ -20,6 +22,7 @@ fn parsed(name: &str, source: &str) -> (naga::Module, ModuleInfo) {
 fn shaders_are_valid() {
     for (name, source) in [
         ("mesh", MESH_SHADER),
+        ("morph", MORPH_SHADER),
         ("normals", NORMALS_SHADER),
         ("occlusion", OCCLUSION_SHADER),
         ("scenery", SCENERY_SHADER),

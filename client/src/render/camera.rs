@@ -5,7 +5,7 @@
 //! in the millions and close-ups then cost no precision, and neither the origin nor the step reaches the GPU.
 
 use bytemuck::{Pod, Zeroable};
-use glam::{DMat4, DQuat, DVec3, DVec4, Vec3};
+use glam::{DMat4, DQuat, DVec3, DVec4, Mat4, Vec3, Vec4};
 use lodestream_protocol::quant::Lattice;
 use lodestream_protocol::view::{Projection, View};
 
@@ -110,6 +110,12 @@ impl CameraUniform {
         }
     }
 
+    /// Where a point in lattice coordinates is in clip space, in `f32` as the shaders compute it.
+    pub fn clip(&self, p: Vec3) -> Vec4 {
+        let relative = (p - Vec4::from_array(self.eye_high).truncate()) - Vec4::from_array(self.eye_low).truncate();
+        Mat4::from_cols_array_2d(&self.clip_from_relative) * relative.extend(1.0)
+    }
+
     /// The point that the shaders' coordinates are relative to, in lattice steps: the eye, or for orthographic cameras a
     /// point on its axis.
     pub fn anchor(&self) -> DVec3 {
@@ -119,17 +125,13 @@ impl CameraUniform {
 
 #[cfg(test)]
 mod tests {
-    use glam::{Mat4, Vec4};
     use lodestream_protocol::view::look_along;
 
     use super::*;
 
-    /// Where the shader puts lattice point `p`, in `f32` as the shader does it.
+    /// Where the shader puts lattice point `p`.
     fn clip(uniform: &CameraUniform, p: [i32; 3]) -> Vec4 {
-        let p = Vec3::from_array(p.map(|x| x as f32));
-        let relative =
-            (p - Vec4::from_array(uniform.eye_high).truncate()) - Vec4::from_array(uniform.eye_low).truncate();
-        Mat4::from_cols_array_2d(&uniform.clip_from_relative) * relative.extend(1.0)
+        uniform.clip(Vec3::from_array(p.map(|x| x as f32)))
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use wgpu::{BindGroup, Buffer, BufferUsages, CommandEncoder, Device};
 
 use super::buffers::MeshBuffers;
-use super::pipeline::{CornerPipelines, WORKGROUP};
+use super::pipeline::{CornerPipelines, bind, dispatch};
 
 /// Bytes per slot of the buffers besides the mesh: links, face normals, corner normals.
 const LINK_BYTES: u64 = 4 + 24;
@@ -18,10 +18,19 @@ pub(super) struct CornerBuffers {
     capacity_slots: u32,
     link_group: BindGroup,
     corners_group: BindGroup,
-    /// Group 1 of drawing.
-    pub(super) draw_group: BindGroup,
+    draw_group: BindGroup,
+    /// While something moves.
+    moving: Option<Moving>,
     /// Of the normals, `None` if they were not computed for the mesh as it is.
     pub(super) computed_crease: Option<f32>,
+}
+
+/// Normals as they are shown while they follow those that were computed.
+#[derive(Debug)]
+struct Moving {
+    shown_normals: Buffer,
+    follow_group: BindGroup,
+    draw_group: BindGroup,
 }
 
 impl CornerBuffers {
@@ -34,32 +43,19 @@ impl CornerBuffers {
 
     pub(super) fn new(device: &Device, pipelines: &CornerPipelines, mesh: &MeshBuffers) -> Self {
         let capacity_slots = mesh.capacity_slots();
-        let buffer = |label, bytes: u64| {
-            device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some(label),
-                size: u64::from(capacity_slots) * bytes,
-                usage: BufferUsages::STORAGE | BufferUsages::COPY_DST,
-                mapped_at_creation: false,
-            })
-        };
+        let buffer = |label, bytes| corner_buffer(device, label, u64::from(capacity_slots) * bytes);
         let links = buffer("links", LINK_BYTES);
         let face_normals = buffer("face normals", FACE_NORMAL_BYTES);
         let corner_normals = buffer("corner normals", CORNER_NORMAL_BYTES);
         let (vertices, indices) = (mesh.vertices(), mesh.indices());
-        let group = |layout, bindings: &[(u32, &Buffer)]| {
-            let entries: Vec<_> = bindings
-                .iter()
-                .map(|&(binding, buffer)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
-                .collect();
-            device.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout, entries: &entries })
-        };
         let link_bindings = [(0, vertices), (1, indices), (2, &links), (3, &face_normals)];
         let corner_bindings = [(1, indices), (2, &links), (3, &face_normals), (4, &corner_normals)];
         let draw_bindings = [(0, vertices), (1, indices), (2, &corner_normals)];
         Self {
-            link_group: group(&pipelines.link_layout, &link_bindings),
-            corners_group: group(&pipelines.corners_layout, &corner_bindings),
-            draw_group: group(&pipelines.draw_layout, &draw_bindings),
+            link_group: bind(device, &pipelines.link_layout, &link_bindings),
+            corners_group: bind(device, &pipelines.corners_layout, &corner_bindings),
+            draw_group: bind(device, &pipelines.draw_layout, &draw_bindings),
+            moving: None,
             links,
             corner_normals,
             capacity_slots,
@@ -70,6 +66,46 @@ impl CornerBuffers {
     /// Whether these belong to the mesh buffers as they are.
     pub(super) fn are_of(&self, mesh: &MeshBuffers) -> bool {
         self.capacity_slots == mesh.capacity_slots()
+    }
+
+    /// Vertices are read from `shown` from now on, and normals begin where they were in the last image: those of `last`, whose
+    /// buffers have become too small, or the own ones. Recorded before they are computed for the mesh as it is now.
+    pub(super) fn begin_to_move(
+        &mut self,
+        device: &Device,
+        encoder: &mut CommandEncoder,
+        pipelines: &CornerPipelines,
+        mesh: &MeshBuffers,
+        shown: &Buffer,
+        last: Option<&Self>,
+    ) {
+        let last = last.unwrap_or(self);
+        let bytes = u64::from(self.capacity_slots) * CORNER_NORMAL_BYTES;
+        let shown_normals = corner_buffer(device, "shown normals", bytes);
+        let normals = last.moving.as_ref().map_or(&last.corner_normals, |moving| &moving.shown_normals);
+        encoder.copy_buffer_to_buffer(normals, 0, &shown_normals, 0, normals.size().min(bytes));
+        let follow_bindings = [(0, &self.corner_normals), (1, &shown_normals)];
+        let draw_bindings = [(0, shown), (1, mesh.indices()), (2, &shown_normals)];
+        self.moving = Some(Moving {
+            follow_group: bind(device, &pipelines.follow_layout, &follow_bindings),
+            draw_group: bind(device, &pipelines.draw_layout, &draw_bindings),
+            shown_normals,
+        });
+    }
+
+    /// Vertices are read from the mesh from now on, and normals as they were computed.
+    pub(super) fn stop_moving(&mut self) {
+        self.moving = None;
+    }
+
+    /// Whether vertices are read from elsewhere.
+    pub(super) fn is_moving(&self) -> bool {
+        self.moving.is_some()
+    }
+
+    /// Group 1 of drawing.
+    pub(super) fn draw_group(&self) -> &BindGroup {
+        self.moving.as_ref().map_or(&self.draw_group, |moving| &moving.draw_group)
     }
 
     /// Records the computation of all corner normals. Group 0 is `globals`.
@@ -89,15 +125,32 @@ impl CornerBuffers {
         let mut pass =
             encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("normals"), timestamp_writes: None });
         pass.set_bind_group(0, globals, &[]);
-        let most_x = device.limits().max_compute_workgroups_per_dimension;
-        let mut dispatch = |pipeline, group, elements: u32| {
-            let groups = elements.div_ceil(WORKGROUP);
-            let x = groups.min(most_x);
-            pass.set_pipeline(pipeline);
-            pass.set_bind_group(1, group, &[]);
-            pass.dispatch_workgroups(x, groups.div_ceil(x), 1);
-        };
-        dispatch(&pipelines.link, &self.link_group, 2 * slots);
-        dispatch(&pipelines.corners, &self.corners_group, slots);
+        dispatch(device, &mut pass, &pipelines.link, &self.link_group, 2 * slots);
+        dispatch(device, &mut pass, &pipelines.corners, &self.corners_group, slots);
     }
+
+    /// Records that the normals that are shown follow, if they are others than those that were computed.
+    pub(super) fn follow(
+        &self,
+        device: &Device,
+        encoder: &mut CommandEncoder,
+        pipelines: &CornerPipelines,
+        globals: &BindGroup,
+        slots: u32,
+    ) {
+        let Some(moving) = &self.moving else { return };
+        let mut pass =
+            encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("follow"), timestamp_writes: None });
+        pass.set_bind_group(0, globals, &[]);
+        dispatch(device, &mut pass, &pipelines.follow, &moving.follow_group, 6 * slots);
+    }
+}
+
+fn corner_buffer(device: &Device, label: &str, bytes: u64) -> Buffer {
+    device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some(label),
+        size: bytes,
+        usage: BufferUsages::STORAGE | BufferUsages::COPY_DST | BufferUsages::COPY_SRC,
+        mapped_at_creation: false,
+    })
 }

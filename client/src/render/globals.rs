@@ -44,12 +44,17 @@ pub struct Globals {
     pub occlusion_strength: f32,
     /// Alpha of the cut: 0 where passes follow that have to tell it from surfaces.
     pub section_alpha: f32,
+    /// Time of the transitions, see [`Morphs::now_s`](super::morph::Morphs::now_s).
+    pub morph_now_s: f32,
+    /// See [`Morphs::share`](super::morph::Morphs::share).
+    pub morph_share: f32,
     /// Fills the last 16 bytes.
-    pub unused: u32,
+    pub unused: [f32; 3],
 }
 
 impl Globals {
-    /// Composes everything but `slot_end`, `capacity_slots` and `section_alpha`, which is left at 1.
+    /// Composes everything but `slot_end`, `capacity_slots`, those of transitions (left at 0) and `section_alpha`
+    /// (left at 1).
     pub fn new(
         camera: CameraUniform,
         lattice: &Lattice,
@@ -91,7 +96,9 @@ impl Globals {
             level_zero: f64::from(lattice.max_coordinate()).log2() as f32,
             occlusion_strength: options.occlusion.clamp(0.0, 1.0),
             section_alpha: 1.0,
-            unused: 0,
+            morph_now_s: 0.0,
+            morph_share: 0.0,
+            unused: [0.0; 3],
         }
     }
 }

@@ -5,7 +5,7 @@
 //!
 //! - [`camera`]: the camera in the shaders' terms. [`upload`]: dirty slots to an upload plan, plain data.
 //! - [`options`]: the shading formula. [`globals`]: camera and options for the shaders. [`lines`]: what is drawn on top.
-//! - [`buffers`]: executes plans. `corners`: normals by corner. `occlusion`: darker crevices. [`pipeline`]: shaders and pipelines. [`renderer`]: one image.
+//! - [`buffers`]: executes plans. `corners`: normals by corner. `occlusion`: darker crevices. [`morph`]: transitions. [`pipeline`]: shaders and pipelines. [`renderer`]: one image.
 //! - [`gpu`]: instance, adapter, device. [`surface`]: windows and canvases. `readback`, `offscreen`, `image`: images without a window (not in browsers).
 //!
 //! This module reads replicas; it never sees messages and decides no op.
@@ -18,6 +18,8 @@ pub mod gpu;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod image;
 pub mod lines;
+pub mod morph;
+mod morph_buffers;
 mod occlusion;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod offscreen;

@@ -1,5 +1,7 @@
 //! How a mesh is shaded, and the formulas in plain Rust for whoever wants to know what a pixel should be.
 
+use std::time::Duration;
+
 use glam::{DVec3, Vec3};
 use lodestream_protocol::view::Plane;
 
@@ -52,6 +54,12 @@ pub struct RenderOptions {
     ///
     /// [`DrawStats::has_occlusion`]: super::DrawStats::has_occlusion
     pub occlusion: f32,
+    /// Time of the image by any clock that never goes back: vertices that ops made or moved go to their places over a fraction
+    /// of a second. `None`: they are there at once, as in every image that is to stay. Falls away where
+    /// [`DrawStats::is_moving`] says so.
+    ///
+    /// [`DrawStats::is_moving`]: super::DrawStats::is_moving
+    pub geomorph: Option<Duration>,
 }
 
 impl Default for RenderOptions {
@@ -68,6 +76,7 @@ impl Default for RenderOptions {
             tint_backs: false,
             section: None,
             occlusion: 0.0,
+            geomorph: None,
         }
     }
 }

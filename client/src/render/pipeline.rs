@@ -16,6 +16,8 @@ pub const SCENERY_SHADER: &str = concat!(include_str!("shaders/globals.wgsl"), i
 /// WGSL of the passes that darken crevices.
 pub const OCCLUSION_SHADER: &str =
     concat!(include_str!("shaders/globals.wgsl"), include_str!("shaders/occlusion.wgsl"));
+/// WGSL of the pass that says where vertices are shown.
+pub const MORPH_SHADER: &str = concat!(include_str!("shaders/globals.wgsl"), include_str!("shaders/morph.wgsl"));
 
 /// Samples per pixel.
 pub const SAMPLES: u32 = 4;
@@ -78,6 +80,10 @@ pub struct CornerPipelines {
     pub corners: wgpu::ComputePipeline,
     /// Group 1 of `corners`: indices (1), links (2), face normals (3), corner normals (4).
     pub corners_layout: BindGroupLayout,
+    /// Lets the normals that are shown follow those that were computed.
+    pub follow: wgpu::ComputePipeline,
+    /// Group 1 of `follow`: corner normals, shown normals.
+    pub follow_layout: BindGroupLayout,
 }
 
 impl Pipelines {
@@ -171,15 +177,13 @@ impl CornerPipelines {
     fn new(device: &Device, globals: &BindGroupLayout) -> Self {
         let read = wgpu::BufferBindingType::Storage { read_only: true };
         let write = wgpu::BufferBindingType::Storage { read_only: false };
-        let layout = |label, stage, bindings: &[(u32, wgpu::BufferBindingType)]| {
-            let entries: Vec<_> = bindings.iter().map(|&(binding, ty)| entry(binding, stage, ty)).collect();
-            device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries: &entries })
-        };
-        let draw_layout = layout("corners", ShaderStages::VERTEX, &[(0, read), (1, read), (2, read)]);
-        let link_layout = layout("link", ShaderStages::COMPUTE, &[(0, read), (1, read), (2, write), (3, write)]);
-        let corners_layout = layout("corners", ShaderStages::COMPUTE, &[(1, read), (2, write), (3, write), (4, write)]);
-        let shader = shader(device, "normals", NORMALS_SHADER);
-        let compute = |entry_point, layout: &BindGroupLayout| {
+        let draw_layout = layout(device, "corners", ShaderStages::VERTEX, &[(0, read), (1, read), (2, read)]);
+        let link_layout = compute_layout(device, "link", &[(0, read), (1, read), (2, write), (3, write)]);
+        let corners_layout = compute_layout(device, "corners", &[(1, read), (2, write), (3, write), (4, write)]);
+        let follow_layout = compute_layout(device, "follow", &[(0, read), (1, write)]);
+        let normals = shader(device, "normals", NORMALS_SHADER);
+        let morph = shader(device, "morph", MORPH_SHADER);
+        let compute = |module, entry_point, layout: &BindGroupLayout| {
             let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
                 label: Some(entry_point),
                 bind_group_layouts: &[Some(globals), Some(layout)],
@@ -188,15 +192,17 @@ impl CornerPipelines {
             device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some(entry_point),
                 layout: Some(&layout),
-                module: &shader,
+                module,
                 entry_point: Some(entry_point),
                 compilation_options: Default::default(),
                 cache: None,
             })
         };
         Self {
-            link: compute("link", &link_layout),
-            corners: compute("smooth_corners", &corners_layout),
+            link: compute(&normals, "link", &link_layout),
+            corners: compute(&normals, "smooth_corners", &corners_layout),
+            follow: compute(&morph, "follow", &follow_layout),
+            follow_layout,
             draw_layout,
             link_layout,
             corners_layout,
@@ -282,6 +288,52 @@ impl Shape<'_> {
             cache: None,
         })
     }
+}
+
+/// Layout of a group of buffers for compute passes.
+pub(super) fn compute_layout(
+    device: &Device,
+    label: &str,
+    bindings: &[(u32, wgpu::BufferBindingType)],
+) -> BindGroupLayout {
+    layout(device, label, ShaderStages::COMPUTE, bindings)
+}
+
+fn layout(
+    device: &Device,
+    label: &str,
+    stage: ShaderStages,
+    bindings: &[(u32, wgpu::BufferBindingType)],
+) -> BindGroupLayout {
+    let entries: Vec<_> = bindings.iter().map(|&(binding, ty)| entry(binding, stage, ty)).collect();
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries: &entries })
+}
+
+/// A group of whole buffers.
+pub(super) fn bind(device: &Device, layout: &BindGroupLayout, bindings: &[(u32, &wgpu::Buffer)]) -> wgpu::BindGroup {
+    let entries: Vec<_> = bindings
+        .iter()
+        .map(|&(binding, buffer)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
+        .collect();
+    device.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout, entries: &entries })
+}
+
+/// One invocation for each of `elements`, in as many rows of workgroups as that takes.
+pub(super) fn dispatch(
+    device: &Device,
+    pass: &mut wgpu::ComputePass<'_>,
+    pipeline: &wgpu::ComputePipeline,
+    group: &wgpu::BindGroup,
+    elements: u32,
+) {
+    if elements == 0 {
+        return;
+    }
+    let groups = elements.div_ceil(WORKGROUP);
+    let x = groups.min(device.limits().max_compute_workgroups_per_dimension);
+    pass.set_pipeline(pipeline);
+    pass.set_bind_group(1, group, &[]);
+    pass.dispatch_workgroups(x, groups.div_ceil(x), 1);
 }
 
 pub(super) fn shader(device: &Device, label: &str, source: &str) -> ShaderModule {

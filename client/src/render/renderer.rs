@@ -1,6 +1,8 @@
 //! One image of a replica: upload what changed, compute normals, draw.
 
-use lodestream_protocol::mesh::Replica;
+use std::time::Duration;
+
+use lodestream_protocol::mesh::{Birth, Replica};
 use lodestream_protocol::quant::Lattice;
 use wgpu::util::DeviceExt;
 use wgpu::{BindGroup, Buffer, BufferUsages, CommandEncoder, Device, Queue, TextureFormat, TextureView};
@@ -11,10 +13,13 @@ use super::corners::CornerBuffers;
 use super::error::RenderError;
 use super::globals::{Globals, encode};
 use super::lines::{Line, gpu_lines};
+use super::morph::{MorphView, Morphs, Motion};
+use super::morph_buffers::{MorphBuffers, MorphPipeline};
 use super::occlusion::{OcclusionBuffers, OcclusionPipelines};
 use super::options::{RenderOptions, Shading};
 use super::pipeline::{Geometry, MeshPipeline, Pipelines};
 use super::target::Canvas;
+use super::upload::UploadPlan;
 
 /// Draws one replica to targets of one format.
 ///
@@ -36,13 +41,19 @@ pub struct Renderer {
     /// Of the canvas.
     occlusion: Option<OcclusionBuffers>,
     lines: Vec<Line>,
+    morphs: Morphs,
+    motion: Motion,
+    morph_pipeline: Option<MorphPipeline>,
+    morph_buffers: Option<MorphBuffers>,
 }
 
 /// What an image cost, and which of its options this device could not do.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DrawStats {
-    /// Bytes written to the mesh buffers.
+    /// Bytes written to the mesh buffers and for transitions.
     pub uploaded_bytes: u64,
+    /// Whether vertices are on their way to their places: the next image will differ though nothing else changes.
+    pub is_moving: bool,
     /// Whether normals were computed.
     pub computed_normals: bool,
     /// Whether smooth shading was asked for and possible.
@@ -61,6 +72,8 @@ struct Image<'a> {
     /// Instances of lines and their number: first all that are hidden, then all that are seen.
     lines: Option<(Buffer, u32)>,
     has_occlusion: bool,
+    /// Vertices are drawn where they are shown.
+    is_moving: bool,
 }
 
 impl Renderer {
@@ -91,6 +104,10 @@ impl Renderer {
             occlusion_pipelines: None,
             occlusion: None,
             lines: Vec::new(),
+            morphs: Morphs::default(),
+            motion: Motion::default(),
+            morph_pipeline: None,
+            morph_buffers: None,
         }
     }
 
@@ -145,6 +162,7 @@ impl Renderer {
     ) -> Result<DrawStats, RenderError> {
         let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("image") });
         let plan = self.mesh.update(&self.device, &mut encoder, replica)?;
+        let births = replica.dirty_mut().and_then(|dirty| dirty.take_births());
         if let Some(corners) = &mut self.corners
             && !plan.is_empty()
         {
@@ -156,9 +174,24 @@ impl Renderer {
         let has_occlusion = options.occlusion > 0.0 && self.prepare_occlusion(size)?;
         let mut globals = Globals::new(camera, lattice, options, size, self.format);
         globals.section_alpha = if has_occlusion { 0.0 } else { 1.0 };
+        let view =
+            MorphView { camera: &camera, size, extent: lattice.max_coordinate() as f32, duration: Duration::ZERO };
+        let (is_moving, morph_bytes) = match options.geomorph {
+            Some(now) => self.advance(now, births, &plan, replica, view),
+            None => {
+                // What happens from here on is not followed, so nothing may be built on it later.
+                (self.morphs, self.morph_buffers) = (Morphs::default(), None);
+                (false, 0)
+            }
+        };
+        (globals.morph_now_s, globals.morph_share) = (self.morphs.now_s(), self.morphs.share());
         self.write_globals(globals);
+        if let (true, Some(pipeline), Some(buffers)) = (is_moving, &self.morph_pipeline, &self.morph_buffers) {
+            buffers.encode(&self.device, &mut encoder, pipeline, &self.globals_group, self.mesh.slot_end());
+        }
 
-        let by_corner = (options.shading == Shading::Smooth || options.has_details()) && self.prepare_corners();
+        let by_corner = (options.shading == Shading::Smooth || options.has_details())
+            && self.prepare_corners(&mut encoder, is_moving);
         let is_smooth = by_corner && options.shading == Shading::Smooth;
         let computed_normals = is_smooth && self.compute_normals(&mut encoder, options.crease_angle_deg);
         let pipeline = MeshPipeline {
@@ -170,14 +203,16 @@ impl Renderer {
             has_details: by_corner && options.has_details(),
             is_cut: options.unit_section().is_some(),
         };
-        let image = Image { target, options, pipeline, lines: self.upload_lines(&camera, lattice), has_occlusion };
+        let image =
+            Image { target, options, pipeline, lines: self.upload_lines(&camera, lattice), has_occlusion, is_moving };
         self.encode_pass(&mut encoder, &image);
         if let (true, Some(pipelines), Some(buffers)) = (has_occlusion, &self.occlusion_pipelines, &self.occlusion) {
             buffers.encode(&mut encoder, pipelines, &self.globals_group, target, pipeline.is_cut);
         }
         self.queue.submit([encoder.finish()]);
         Ok(DrawStats {
-            uploaded_bytes: plan.bytes(),
+            uploaded_bytes: plan.bytes() + morph_bytes,
+            is_moving,
             computed_normals,
             is_smooth,
             has_occlusion,
@@ -189,6 +224,37 @@ impl Renderer {
         globals.slot_end = self.mesh.slot_end();
         globals.capacity_slots = self.mesh.capacity_slots();
         self.queue.write_buffer(&self.globals, 0, bytemuck::bytes_of(&globals));
+    }
+
+    /// Lets transitions begin and says whether any runs, and how many bytes that took. Nothing moves on devices without
+    /// storage buffers.
+    fn advance(
+        &mut self,
+        now: Duration,
+        births: Option<Vec<Birth>>,
+        plan: &UploadPlan,
+        replica: &Replica,
+        mut view: MorphView<'_>,
+    ) -> (bool, u64) {
+        if self.pipelines.corners.is_none() {
+            return (false, 0);
+        }
+        let births = births.filter(|_| !self.morphs.is_empty());
+        view.duration = self.motion.follow(now, view.camera, view.extent);
+        self.morphs.advance(now, births.as_deref(), &plan.vertices, replica, &view);
+        if !self.morphs.is_running() {
+            return (false, 0);
+        }
+        let pipeline =
+            self.morph_pipeline.get_or_insert_with(|| MorphPipeline::new(&self.device, &self.pipelines.globals));
+        let mut changed = self.morphs.take_changed();
+        if self.morph_buffers.as_ref().is_none_or(|buffers| !buffers.are_of(&self.mesh)) {
+            self.morph_buffers = None;
+            self.morph_buffers = Some(MorphBuffers::new(&self.device, pipeline, &self.mesh));
+            changed = (0..self.morphs.len()).collect();
+        }
+        let bytes = self.morph_buffers.as_ref().map_or(0, |buffers| buffers.write(&self.queue, &self.morphs, &changed));
+        (true, bytes)
     }
 
     /// Makes what occlusion needs. False where the device cannot: passes that read samples are beyond WebGL.
@@ -209,29 +275,45 @@ impl Renderer {
     }
 
     /// Makes the buffers for drawing by corner as large as the mesh's. False where the device cannot.
-    fn prepare_corners(&mut self) -> bool {
+    fn prepare_corners(&mut self, encoder: &mut CommandEncoder, is_moving: bool) -> bool {
         let Some(pipelines) = &self.pipelines.corners else { return false };
         if !CornerBuffers::fit(&self.device, self.mesh.capacity_slots()) {
             self.corners = None;
             return false;
         }
-        if self.corners.as_ref().is_none_or(|corners| !corners.are_of(&self.mesh)) {
-            self.corners = None;
-            self.corners = Some(CornerBuffers::new(&self.device, pipelines, &self.mesh));
+        let held = self.corners.take();
+        let shown = self.morph_buffers.as_ref().filter(|_| is_moving).map(|buffers| buffers.shown());
+        let (mut corners, outgrown) = match held {
+            Some(corners) if corners.are_of(&self.mesh) => (corners, None),
+            outgrown => {
+                // Of what is not needed as a beginning, the old goes first: both may not fit at once.
+                let outgrown = outgrown.filter(|_| is_moving);
+                (CornerBuffers::new(&self.device, pipelines, &self.mesh), outgrown)
+            }
+        };
+        match shown {
+            Some(shown) if !corners.is_moving() => {
+                corners.begin_to_move(&self.device, encoder, pipelines, &self.mesh, shown, outgrown.as_ref());
+            }
+            Some(_) => {}
+            None => corners.stop_moving(),
         }
+        self.corners = Some(corners);
         true
     }
 
-    /// Computes normals unless they are there, and says whether it did.
+    /// Computes normals unless they are there, and says whether it did. Those that are shown follow.
     fn compute_normals(&mut self, encoder: &mut CommandEncoder, crease_angle_deg: f32) -> bool {
         let (Some(pipelines), Some(corners)) = (&self.pipelines.corners, &mut self.corners) else { return false };
+        let (device, globals, slots) = (&self.device, &self.globals_group, self.mesh.slot_end());
         let crease = Some(crease_angle_deg.clamp(0.0, 180.0));
-        if corners.computed_crease == crease {
-            return false;
+        let is_due = corners.computed_crease != crease;
+        if is_due {
+            corners.compute_normals(device, encoder, pipelines, globals, slots);
+            corners.computed_crease = crease;
         }
-        corners.compute_normals(&self.device, encoder, pipelines, &self.globals_group, self.mesh.slot_end());
-        corners.computed_crease = crease;
-        true
+        corners.follow(device, encoder, pipelines, globals, slots);
+        is_due
     }
 
     fn upload_lines(&self, camera: &CameraUniform, lattice: &Lattice) -> Option<(Buffer, u32)> {
@@ -279,12 +361,13 @@ impl Renderer {
         if corners > 0 {
             pass.set_pipeline(self.pipelines.mesh(&self.device, image.pipeline));
             if image.pipeline.geometry == Geometry::Indexed {
-                pass.set_vertex_buffer(0, self.mesh.vertices().slice(..));
+                let shown = self.morph_buffers.as_ref().filter(|_| image.is_moving).map(|buffers| buffers.shown());
+                pass.set_vertex_buffer(0, shown.unwrap_or(self.mesh.vertices()).slice(..));
                 pass.set_index_buffer(self.mesh.indices().slice(..), wgpu::IndexFormat::Uint32);
                 pass.draw_indexed(0..corners, 0, 0..1);
             } else {
                 let buffers = self.corners.as_ref().expect("prepared for this geometry");
-                pass.set_bind_group(1, &buffers.draw_group, &[]);
+                pass.set_bind_group(1, buffers.draw_group(), &[]);
                 pass.draw(0..corners, 0..1);
             }
         }

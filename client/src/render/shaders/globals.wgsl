@@ -21,7 +21,11 @@ struct Globals {
     level_zero: f32,
     occlusion_strength: f32,
     section_alpha: f32, // 0 if a later pass is to know what is a cut
-    unused: u32,
+    morph_now_s: f32,
+    morph_share: f32, // of the way that normals still have to go
+    unused_0: f32,
+    unused_1: f32,
+    unused_2: f32,
 }
 
 // Bits of `details`.
@@ -44,6 +48,27 @@ fn direction(v: vec3<f32>) -> vec3<f32> {
         return vec3(0.0);
     }
     return normalize(v / size);
+}
+
+// Octahedral, 16 bits a component; never 0, which is free because -z has four codes.
+fn packed_normal(sum: vec3<f32>) -> u32 {
+    let n = direction(sum);
+    if dot(n, n) == 0.0 {
+        return 0u;
+    }
+    let flat_part = n.xy / (abs(n.x) + abs(n.y) + abs(n.z));
+    let signs = select(vec2(-1.0), vec2(1.0), flat_part >= vec2(0.0));
+    let e = select(flat_part, (1.0 - abs(flat_part.yx)) * signs, n.z < 0.0);
+    let code = pack2x16unorm(e * 0.5 + 0.5);
+    return select(code, 0xffffffffu, code == 0u);
+}
+
+fn unpacked_normal(code: u32) -> vec3<f32> {
+    let e = unpack2x16unorm(code) * 2.0 - 1.0;
+    var n = vec3(e, 1.0 - abs(e.x) - abs(e.y));
+    let fold = max(-n.z, 0.0);
+    n = vec3(n.xy - select(vec2(-fold), vec2(fold), n.xy >= vec2(0.0)), n.z);
+    return normalize(n);
 }
 
 fn srgb_decoded(c: vec3<f32>) -> vec3<f32> {

@@ -41,14 +41,6 @@ fn vertex_indexed(@location(0) position: vec3<f32>, @location(1) color: vec4<f32
 // By corner: octahedral normals as normals.wgsl writes them, or 0 for "that of the face".
 @group(1) @binding(2) var<storage, read> corner_normals: array<u32>;
 
-fn unpacked_normal(code: u32) -> vec3<f32> {
-    let e = unpack2x16unorm(code) * 2.0 - 1.0;
-    var n = vec3(e, 1.0 - abs(e.x) - abs(e.y));
-    let fold = max(-n.z, 0.0);
-    n = vec3(n.xy - select(vec2(-fold), vec2(fold), n.xy >= vec2(0.0)), n.z);
-    return normalize(n);
-}
-
 // Twice the area of the face as a vector.
 fn area_vector(first: u32) -> vec3<f32> {
     let a = vertices[indices[first]].position;
