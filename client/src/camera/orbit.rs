@@ -79,6 +79,19 @@ impl Orbit {
         orbit
     }
 
+    /// The orbit with these angles: yaw, pitch (clamped), roll in radians; the distance must be positive.
+    pub fn from_angles(target: DVec3, distance: f64, [yaw, pitch, roll]: [f64; 3], up: UpAxis) -> Self {
+        let mut orbit = Self::from_direction(target, DVec3::Z, distance, up);
+        orbit.rotate(yaw, pitch);
+        orbit.roll(roll);
+        orbit
+    }
+
+    /// Yaw around the up axis (0 looks from +z, y up), pitch above the horizon and roll, in radians.
+    pub fn angles(&self) -> [f64; 3] {
+        [self.yaw_rad, self.pitch_rad, self.roll_rad]
+    }
+
     /// Distance of the eye from the target.
     pub fn distance(&self) -> f64 {
         self.distance
