@@ -35,7 +35,7 @@ use crate::camera::gesture::{Gesture, Pointers, Press};
 use crate::camera::navigate::Navigator;
 use crate::camera::{Bounds, Camera, Detail, Viewport};
 use crate::core::{ClientConfig, ClientSession};
-use crate::render::{DrawStats, RenderCamera, RenderOptions};
+use crate::render::{DrawStats, Line, RenderCamera, RenderOptions};
 use command::{Command, Event, Tool};
 use connection::Connection;
 pub use connection::Ending;
@@ -61,6 +61,8 @@ const BYTES_PER_TOUCH: f64 = 60.0;
 const WHEEL_PX: f64 = 500.0;
 /// How long a point under a resting cursor is good for.
 const ANCHOR_KEPT: Duration = Duration::from_millis(400);
+/// Colour of marks, in sRGB.
+const MARK_COLOR: [u8; 3] = [0xff, 0xb0, 0x20];
 /// Most events that wait to be fetched.
 const MAX_EVENTS: usize = 64;
 /// Bytes of ops that may wait to be applied: more than a server sends without acknowledgement.
@@ -503,7 +505,8 @@ impl Viewer {
         let is_kept = self.kept.is_some();
         let options = {
             let model = self.shown()?.model()?;
-            self.settings.render_options(model.has_colors, model.crease_angle_deg)
+            let section = self.clip_planes().first().copied();
+            self.settings.render_options(model.has_colors, model.crease_angle_deg, section)
         };
         let session = self.kept.as_mut().unwrap_or(&mut self.session);
         let generation = session.generation();
@@ -613,6 +616,14 @@ impl Viewer {
     /// The mesh on screen.
     pub fn replica(&self) -> Option<&Replica> {
         self.shown()?.replica()
+    }
+
+    /// The marks and the line between them, to be drawn on top of the mesh.
+    pub fn lines(&self) -> Vec<Line> {
+        match self.marks[..] {
+            [a, b] => vec![Line { from: a.point, to: b.point, color: MARK_COLOR }],
+            _ => Vec::new(),
+        }
     }
 
     /// The marks, at most two.

@@ -3,7 +3,8 @@
 use std::fmt;
 use std::str::FromStr;
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
+use lodestream_protocol::view::Plane;
 
 use crate::render::{RenderOptions, Shading};
 
@@ -94,6 +95,14 @@ pub struct Settings {
     pub shading: Shading,
     /// Colours of the model; auto shows them if there are.
     pub colors: Auto<bool>,
+    /// Edges of the faces on top.
+    pub wireframe: bool,
+    /// Faces coloured by how fine they are.
+    pub levels: bool,
+    /// Backs of faces in another colour.
+    pub backs: bool,
+    /// Direction to the light: x right, y up, z to the viewer; auto is the renderer's.
+    pub light: Auto<Vec3>,
     /// Colour behind the model, in sRGB; auto is the renderer's.
     pub background: Auto<[u8; 3]>,
     /// Where the model is cut.
@@ -132,6 +141,10 @@ impl Settings {
             "fps" => self.images_per_s = auto("fps", value, number, |text| ranged(text, IMAGES_PER_S))?,
             "memory" => self.memory_mib = auto("memory", value, number, |text| ranged(text, MEMORY_MIB))?,
             "colors" => self.colors = auto("colors", value, "on, off or auto", switch)?,
+            "wireframe" => self.wireframe = on("wireframe", value)?,
+            "levels" => self.levels = on("levels", value)?,
+            "backs" => self.backs = on("backs", value)?,
+            "light" => self.light = auto("light", value, "x,y,z or auto", direction)?,
             "background" => self.background = auto("background", value, "rrggbb or auto", rgb)?,
             "shading" => {
                 self.shading = match value {
@@ -162,7 +175,11 @@ impl Settings {
             ("fps", self.images_per_s.to_string()),
             ("memory", self.memory_mib.to_string()),
             ("shading", if self.shading == Shading::Flat { "flat" } else { "smooth" }.into()),
-            ("colors", self.colors.fixed().map_or("auto", |on| if on { "on" } else { "off" }).into()),
+            ("colors", self.colors.fixed().map_or("auto".into(), on_off)),
+            ("wireframe", on_off(self.wireframe)),
+            ("levels", on_off(self.levels)),
+            ("backs", on_off(self.backs)),
+            ("light", self.light.fixed().map_or("auto".into(), |light| format!("{},{},{}", light.x, light.y, light.z))),
             (
                 "background",
                 self.background.fixed().map_or("auto".into(), |[r, g, b]| format!("{r:02x}{g:02x}{b:02x}")),
@@ -171,14 +188,25 @@ impl Settings {
         ]
     }
 
-    /// What the renderer is told for a model.
-    pub fn render_options(&self, has_colors: bool, crease_angle_deg: f32) -> RenderOptions {
+    /// What the renderer is told for a model, with the plane of the section in model units.
+    pub fn render_options(
+        &self,
+        has_colors: bool,
+        crease_angle_deg: f32,
+        section: Option<[f64; 4]>,
+    ) -> RenderOptions {
         let defaults = RenderOptions::default();
         RenderOptions {
             shading: self.shading,
             vertex_colors: has_colors && self.colors.fixed().unwrap_or(true),
             crease_angle_deg,
             background: self.background.fixed().unwrap_or(defaults.background),
+            wireframe: self.wireframe,
+            refinement_colors: self.levels,
+            tint_backs: self.backs,
+            light: self.light.fixed().unwrap_or(defaults.light),
+            section: section.map(|[a, b, c, d]| Plane { normal: DVec3::new(a, b, c), offset: d }),
+            ..defaults
         }
     }
 }
@@ -215,6 +243,20 @@ fn ranged<T: FromStr + PartialOrd + Copy>(text: &str, (least, most): (T, T)) -> 
     }
     // A NaN compares with nothing.
     if value > most { Some(most) } else { (value >= least).then_some(value) }
+}
+
+fn on(key: &'static str, value: &str) -> Result<bool, SettingError> {
+    switch(value).ok_or_else(|| wrong(key, value, "on or off"))
+}
+
+fn on_off(is_on: bool) -> String {
+    if is_on { "on" } else { "off" }.into()
+}
+
+fn direction(text: &str) -> Option<Vec3> {
+    let parts: Option<Vec<f32>> = text.split(',').take(4).map(|part| part.parse().ok()).collect();
+    let light = Vec3::from_array(parts?.try_into().ok()?);
+    (light.length_squared() > 1e-6 && light.abs().max_element() <= 1e3).then_some(light)
 }
 
 fn switch(text: &str) -> Option<bool> {
@@ -264,6 +306,10 @@ mod tests {
             ("memory", "256"),
             ("shading", "flat"),
             ("colors", "off"),
+            ("wireframe", "on"),
+            ("levels", "on"),
+            ("backs", "on"),
+            ("light", "0.5,-0.25,1"),
             ("background", "0aff30"),
             ("section", "z,0.25,flip"),
         ] {
@@ -296,6 +342,9 @@ mod tests {
             ("section", "x,0.5,flip,flip"),
             ("shading", ""),
             ("colors", "1"),
+            ("light", "0,0,0"),
+            ("light", "1,NaN,1"),
+            ("wireframe", "yes"),
         ] {
             let error = settings.set(key, value).unwrap_err();
             assert!(error.to_string().contains(key), "{error}");
