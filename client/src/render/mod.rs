@@ -12,6 +12,8 @@
 
 pub mod buffers;
 pub mod camera;
+#[cfg(all(feature = "web", target_arch = "wasm32"))]
+pub mod canvas;
 mod corners;
 pub mod globals;
 pub mod gpu;
