@@ -35,12 +35,15 @@ export class Socket {
     this.held = [];
     this.listener = null;
     this.wasOpen = false;
+    this.waiting = [];
     this.socket = new WebSocket(streamAddress());
     this.socket.binaryType = 'arraybuffer';
     this.socket.onopen = () => {
       this.wasOpen = true;
+      // Whoever took this socket over counts it as open since then.
       if (this.hello) this.socket.send(this.hello);
-      this.tell('open');
+      else this.tell('open');
+      for (const bytes of this.waiting.splice(0)) this.socket.send(bytes);
     };
     this.socket.onmessage = (event) => this.tell('frame', new Uint8Array(event.data));
     this.socket.onclose = async (event) => {
@@ -49,10 +52,6 @@ export class Socket {
       if (closed[0] === 'closed' && event.code === 1006) closed[0] = 'lost';
       this.tell('end', closed);
     };
-  }
-
-  get isOpen() {
-    return this.socket.readyState === WebSocket.OPEN;
   }
 
   tell(what, value) {
@@ -67,7 +66,8 @@ export class Socket {
   }
 
   send(bytes) {
-    if (this.isOpen) this.socket.send(bytes);
+    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(bytes);
+    else if (this.socket.readyState === WebSocket.CONNECTING) this.waiting.push(bytes);
   }
 
   // After this nothing is told any more.
