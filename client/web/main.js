@@ -41,8 +41,12 @@ function save(blob, name) {
 // Settings of a link that change the first message make the early socket useless.
 const early = /[#&](triangles|rate|memory)=/.test(location.hash) ? null : new Socket(hello);
 
+// Whether drawing is done without a graphics card.
+let isSlow = false;
+
 async function load() {
   const adapter = await navigator.gpu?.requestAdapter().catch(() => null);
+  isSlow = !adapter || Boolean(adapter.info?.isFallbackAdapter ?? adapter.isFallbackAdapter) || /swiftshader|llvmpipe/i.test(adapter.info?.architecture ?? '');
   const name = adapter ? 'webgpu' : 'webgl';
   let module;
   try {
@@ -67,7 +71,7 @@ function fit() {
 function run(module, screen) {
   const now = () => performance.now();
   const hint = Float64Array.from(data.hint ? data.hint.split(',') : [], Number);
-  const page = new module.Page(now(), canvas.width, canvas.height, ratio(), Number(triangles), memoryMib, hint, location.hash, Math.random() * 2 ** 32);
+  const page = new module.Page(now(), canvas.width, canvas.height, ratio(), Number(triangles), memoryMib, !isSmall && !isSlow, hint, location.hash, Math.random() * 2 ** 32);
   const device = screen.describe();
   page.attach(screen);
   const sockets = [null, null];

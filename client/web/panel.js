@@ -9,7 +9,7 @@ const NUMBERS = [
   ['memory', 'Memory', 32, 8192, (v) => `${Math.round(v)} MiB`],
 ];
 const VIEWS = ['front', 'back', 'left', 'right', 'top', 'bottom', 'iso', 'home'];
-const CHECKS = [['smooth', 'Smooth'], ['colors', 'Colours'], ['wireframe', 'Wireframe'], ['levels', 'Detail levels'], ['backs', 'Mark backs']];
+const CHECKS = [['smooth', 'Smooth'], ['colors', 'Colours'], ['wireframe', 'Wireframe'], ['levels', 'Detail levels'], ['backs', 'Mark backs'], ['occlusion', 'Crevices'], ['morph', 'Morphing']];
 const FIGURES = ['Triangles', 'Limit', 'Whole model', 'Error', 'Receiving', 'Received', 'Round trip', 'Images', 'From cache', 'Memory'];
 
 export const count = (n) => (n >= 1e6 ? `${round(n / 1e6)} M` : n >= 1e4 ? `${Math.round(n / 1e3)} k` : String(Math.round(n)));
@@ -75,9 +75,9 @@ export class Panel {
     this.numbers.set(name, (text) => {
       auto.checked = text === 'auto';
       output.value = text === 'auto' ? '' : words(Number(text));
-      if (text !== 'auto' && document.activeElement !== slider) {
-        slider.value = Math.log(Math.max(Number(text), least) / least) / Math.log(most / least);
-      }
+      slider.classList.toggle('auto', text === 'auto');
+      const shown = text === 'auto' ? Math.sqrt(least * most) : Number(text);
+      if (document.activeElement !== slider) slider.value = Math.log(Math.max(shown, least) / least) / Math.log(most / least);
       slider.ariaValueText = text === 'auto' ? 'automatic' : output.value;
     });
     return make('div', { className: 'row number' }, make('label', { htmlFor: name }, label), output, make('label', { className: 'auto' }, auto, 'auto'), slider);
@@ -99,7 +99,7 @@ export class Panel {
     for (const [name, set] of this.numbers) set(settings.get(name));
     for (const [name, box] of this.checks) {
       const value = name === 'smooth' ? settings.get('shading') === 'smooth' : settings.get(name);
-      box.checked = value === true || value === 'on' || (value === 'auto' && settings.get('hascolors') === 'on');
+      box.checked = value === true || value === 'on' || (value === 'auto' && (name === 'morph' || (name === 'occlusion' ? settings.get('occluded') : settings.get('hascolors')) === 'on'));
     }
     this.checks.get('colors').disabled = settings.get('hascolors') !== 'on';
     this.up.value = settings.get('up');

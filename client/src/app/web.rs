@@ -66,6 +66,8 @@ pub struct Page {
     viewer: Viewer,
     screen: Option<Screen>,
     marks: Vec<f64>,
+    /// Whether the last image had dark crevices.
+    is_occluded: bool,
     /// Text of the last notice, or bytes of the last recording.
     text: String,
     file: Vec<u8>,
@@ -81,7 +83,7 @@ fn wire(number: u32) -> Wire {
 
 #[wasm_bindgen]
 impl Page {
-    /// A viewer without a screen. `hint` is centre, radius and smallest limit of the model, or empty.
+    /// A viewer without a screen; `spend` says that the machine need not be spared. `hint` is centre, radius and smallest limit of the model, or empty.
     #[allow(clippy::too_many_arguments, reason = "numbers cross the border one by one")]
     #[wasm_bindgen(constructor)]
     pub fn new(
@@ -91,6 +93,7 @@ impl Page {
         ratio: f64,
         auto_triangles: u32,
         auto_memory_mib: u32,
+        spend: bool,
         hint: &[f64],
         link: &str,
         seed: u32,
@@ -105,6 +108,7 @@ impl Page {
             pixels_per_point: ratio,
             auto_triangles,
             auto_memory_mib,
+            spend,
             hint,
             link: link.into(),
             seed: seed.into(),
@@ -114,6 +118,7 @@ impl Page {
             viewer: Viewer::new(at(now_ms), options),
             screen: None,
             marks: Vec::new(),
+            is_occluded: false,
             text: String::new(),
             file: Vec::new(),
         }
@@ -334,6 +339,7 @@ impl Page {
         lines.push(format!("record={}", on(self.viewer.is_recording())));
         lines.push(format!("play={}", on(self.viewer.is_playing())));
         lines.push(format!("hascolors={}", on(self.viewer.model().is_some_and(|model| model.has_colors))));
+        lines.push(format!("occluded={}", on(self.is_occluded)));
         lines.join("\n")
     }
 
@@ -352,10 +358,11 @@ impl Page {
         let [width, height] = screen.target.size();
         screen.renderer.resize(width, height).map_err(|error| error.to_string())?;
         screen.renderer.set_lines(&self.viewer.lines());
-        let Some(scene) = self.viewer.scene() else { return Ok(()) };
+        let Some(scene) = self.viewer.scene(now) else { return Ok(()) };
         let drawn = screen.renderer.draw(image.view(), scene.replica, &scene.lattice, &scene.camera, &scene.options);
         let stats = drawn.map_err(|error| error.to_string())?;
         screen.target.present(image);
+        self.is_occluded = stats.has_occlusion;
         self.viewer.note_drawn(now, &stats);
         Ok(())
     }

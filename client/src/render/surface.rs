@@ -68,7 +68,10 @@ impl<'w> SurfaceTarget<'w> {
             .ok_or_else(|| RenderError::NoSurfaceFormat { adapter: gpu.adapter.get_info().name })?;
         // Canvases have no sRGB formats of their own, but views of them may.
         let flags = gpu.adapter.get_downlevel_capabilities().flags;
-        let can_view = flags.contains(wgpu::DownlevelFlags::SURFACE_VIEW_FORMATS);
+        // In browsers such a view may lose its encoding where samples are resolved (Chromium on SwiftShader), so shaders
+        // encode there.
+        let can_view =
+            flags.contains(wgpu::DownlevelFlags::SURFACE_VIEW_FORMATS) && cfg!(not(target_arch = "wasm32"));
         let view_format = if can_view { format.add_srgb_suffix() } else { format };
         let config = SurfaceConfiguration {
             usage: wgpu::TextureUsages::RENDER_ATTACHMENT,

@@ -19,7 +19,7 @@ pub struct Figures {
     pub limit: u32,
     /// Triangles of the complete model.
     pub model_triangles: u64,
-    /// Largest error that the mesh leaves, in pixels.
+    /// Largest error that the mesh leaves, in pixels, once it is settled.
     pub error_px: Option<f32>,
     /// Bytes per second received.
     pub bytes_per_s: f64,

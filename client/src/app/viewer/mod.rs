@@ -108,6 +108,8 @@ pub struct ViewerOptions {
     pub auto_memory_mib: u32,
     /// Bytes that may be uploaded for one image.
     pub upload_allowance: u64,
+    /// Whether the machine draws fast enough that automatic shading need not spare it.
+    pub spend: bool,
     /// The model, if something is known of it.
     pub hint: Option<Hint>,
     /// Fragment of a link.
@@ -125,6 +127,7 @@ impl ViewerOptions {
             auto_triangles: 1_000_000,
             auto_memory_mib: 1024,
             upload_allowance: 2 << 20,
+            spend: true,
             hint: None,
             link: String::new(),
             seed: 1,
@@ -500,13 +503,16 @@ impl Viewer {
     }
 
     /// What to draw, if there is a mesh.
-    pub fn scene(&mut self) -> Option<Scene<'_>> {
+    pub fn scene(&mut self, now: Timestamp) -> Option<Scene<'_>> {
         let camera = self.navigator.as_ref()?.camera();
         let is_kept = self.kept.is_some();
         let options = {
             let model = self.shown()?.model()?;
             let section = self.clip_planes().first().copied();
-            self.settings.render_options(model.has_colors, model.crease_angle_deg, section)
+            let mut options =
+                self.settings.render_options(model.has_colors, model.crease_angle_deg, section, self.options.spend);
+            options.geomorph = self.settings.morph.fixed().unwrap_or(true).then_some(now.0);
+            options
         };
         let session = self.kept.as_mut().unwrap_or(&mut self.session);
         let generation = session.generation();
@@ -525,7 +531,8 @@ impl Viewer {
 
     /// The scene was drawn.
     pub fn note_drawn(&mut self, now: Timestamp, stats: &DrawStats) {
-        self.needs_image = false;
+        // Vertices on their way go on in the next image.
+        self.needs_image = stats.is_moving;
         self.last_image = Some(now);
         self.images.add(now, 1.0);
         let triangles = self.shown().map_or(0, |session| session.stats().triangles);
@@ -562,7 +569,8 @@ impl Viewer {
             triangles: stats.triangles,
             limit: self.triangle_limit(),
             model_triangles: model.map_or(0, |model| model.triangles),
-            error_px: stats.error_px,
+            // Before that it is only what was asked for.
+            error_px: stats.error_px.filter(|_| stats.settled),
             bytes_per_s: self.received.per_second(now),
             round_trip_ms: self.session.stats().view_latency_ms.or(self.figures.round_trip_ms),
             images_per_s: self.images.per_second(now),
@@ -958,12 +966,16 @@ impl Viewer {
             Phase::Gone { .. } => State::Gone,
             Phase::Full { .. } => State::Full,
             Phase::Open { .. } if self.session.replica().is_some() => match self.session.settled() {
-                Some(settled) if !self.session.has_ready() => State::Settled { limited: settled.outcome.limited },
+                Some(settled) if !self.session.has_ready() => {
+                    self.progress.settle(self.session.stats().triangles);
+                    State::Settled { limited: settled.outcome.limited }
+                }
                 _ => {
-                    let (limit, tolerance) = (self.triangle_limit(), self.tolerance_px());
-                    let stats = self.session.stats();
-                    let percent = self.progress.note(stats.error_px, tolerance, stats.triangles, limit);
-                    State::Refining { percent }
+                    let Viewport { width_px, height_px } = self.options.viewport;
+                    let guess = state::guess(u64::from(width_px) * u64::from(height_px), self.tolerance_px());
+                    let whole = self.session.model().map_or(u64::MAX, |model| model.triangles);
+                    let most = self.triangle_limit().min(u32::try_from(whole).unwrap_or(u32::MAX));
+                    State::Refining { percent: self.progress.note(self.session.stats().triangles, guess, most) }
                 }
             },
             _ if self.kept.is_some() => State::Reconnecting,
@@ -991,9 +1003,7 @@ fn is_better(kept: &ClientSession, fresh: &ClientSession) -> bool {
         // Another model under the name: what was is no more, but nothing is shown before there is something to show.
         return fresh.stats().batches == 0 && fresh.settled().is_none();
     }
-    let (old, new) = (kept.stats(), fresh.stats());
-    let is_as_fine = || new.error_px.zip(old.error_px).is_some_and(|(new, old)| new <= old);
-    fresh.settled().is_none() && !is_as_fine() && new.triangles < old.triangles / 10 * 9
+    fresh.settled().is_none() && fresh.stats().triangles < kept.stats().triangles / 10 * 9
 }
 
 fn with_causes(error: &dyn std::error::Error) -> String {

@@ -13,6 +13,8 @@ const TRIANGLES: (u32, u32) = (100, 100_000_000);
 const TOLERANCE_PX: (f32, f32) = (0.0, 1000.0);
 const BYTE_RATE: (u32, u32) = (1_000, 1_000_000_000);
 const IMAGES_PER_S: (f32, f32) = (1.0, 240.0);
+/// How dark crevices are.
+const OCCLUSION: f32 = 0.8;
 const MEMORY_MIB: (u32, u32) = (16, 65_536);
 
 /// A number that may be left to the program.
@@ -101,6 +103,10 @@ pub struct Settings {
     pub levels: bool,
     /// Backs of faces in another colour.
     pub backs: bool,
+    /// Darker crevices; auto for models without colours, where the program has no reason to spare the machine.
+    pub occlusion: Auto<bool>,
+    /// New detail moves to its place instead of jumping there; auto is on.
+    pub morph: Auto<bool>,
     /// Direction to the light: x right, y up, z to the viewer; auto is the renderer's.
     pub light: Auto<Vec3>,
     /// Colour behind the model, in sRGB; auto is the renderer's.
@@ -144,6 +150,8 @@ impl Settings {
             "wireframe" => self.wireframe = on("wireframe", value)?,
             "levels" => self.levels = on("levels", value)?,
             "backs" => self.backs = on("backs", value)?,
+            "occlusion" => self.occlusion = auto("occlusion", value, "on, off or auto", switch)?,
+            "morph" => self.morph = auto("morph", value, "on, off or auto", switch)?,
             "light" => self.light = auto("light", value, "x,y,z or auto", direction)?,
             "background" => self.background = auto("background", value, "rrggbb or auto", rgb)?,
             "shading" => {
@@ -179,6 +187,8 @@ impl Settings {
             ("wireframe", on_off(self.wireframe)),
             ("levels", on_off(self.levels)),
             ("backs", on_off(self.backs)),
+            ("occlusion", self.occlusion.fixed().map_or("auto".into(), on_off)),
+            ("morph", self.morph.fixed().map_or("auto".into(), on_off)),
             ("light", self.light.fixed().map_or("auto".into(), |light| format!("{},{},{}", light.x, light.y, light.z))),
             (
                 "background",
@@ -188,17 +198,22 @@ impl Settings {
         ]
     }
 
-    /// What the renderer is told for a model, with the plane of the section in model units.
+    /// What the renderer is told for a model, with the plane of the section in model units. Crevices are dark by themselves if
+    /// `spend` says that the machine need not be spared.
     pub fn render_options(
         &self,
         has_colors: bool,
         crease_angle_deg: f32,
         section: Option<[f64; 4]>,
+        spend: bool,
     ) -> RenderOptions {
         let defaults = RenderOptions::default();
+        let vertex_colors = has_colors && self.colors.fixed().unwrap_or(true);
+        let occlusion = self.occlusion.fixed().unwrap_or(spend && !vertex_colors);
         RenderOptions {
             shading: self.shading,
-            vertex_colors: has_colors && self.colors.fixed().unwrap_or(true),
+            vertex_colors,
+            occlusion: if occlusion { OCCLUSION } else { 0.0 },
             crease_angle_deg,
             background: self.background.fixed().unwrap_or(defaults.background),
             wireframe: self.wireframe,
@@ -309,6 +324,8 @@ mod tests {
             ("wireframe", "on"),
             ("levels", "on"),
             ("backs", "on"),
+            ("occlusion", "on"),
+            ("morph", "off"),
             ("light", "0.5,-0.25,1"),
             ("background", "0aff30"),
             ("section", "z,0.25,flip"),

@@ -60,32 +60,45 @@ impl fmt::Display for State {
     }
 }
 
-/// How far a refinement is. Errors fall geometrically with the ops that come, so it goes by their logarithm, or by the
-/// triangles where a limit ends it; it never goes back while the view stays the same.
+/// How far a refinement is, as far as a client can tell: the server does not say how much is to come, so it goes by the
+/// triangles that the last settled view had, or by a guess for the first. It never goes back while the view stays the same.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Progress {
-    /// Error in pixels and triangles at the beginning.
-    begin: Option<(f32, u32)>,
+    /// Triangles at the beginning.
+    begin: Option<u32>,
     percent: u8,
+    /// Triangles of the last view that settled.
+    settled: Option<u32>,
+}
+
+/// Pixels of an image for each triangle that a view of a whole scan ends up with at a tolerance of a pixel, about.
+const PIXELS_PER_TRIANGLE: f32 = 60.0;
+
+/// What a view of so many pixels will need, if nothing is known yet.
+pub fn guess(pixels: u64, tolerance_px: f32) -> u32 {
+    (pixels as f32 / PIXELS_PER_TRIANGLE / tolerance_px.max(0.1)) as u32
 }
 
 impl Progress {
     /// Another view is asked for.
     pub fn begin(&mut self) {
-        *self = Self::default();
+        *self = Self { settled: self.settled, ..Self::default() };
     }
 
-    /// Notes an error in pixels and the triangles held, of which there may be `limit`, and returns the per cent.
-    pub fn note(&mut self, error_px: Option<f32>, tolerance_px: f32, triangles: u32, limit: u32) -> u8 {
-        let Some(error) = error_px.filter(|error| error.is_finite() && *error > 0.0) else { return self.percent };
-        let &mut (first, first_triangles) = self.begin.get_or_insert((error, triangles));
-        let least = tolerance_px.max(1e-2);
-        let by_error = if first > least { (first / error).ln() / (first / least).ln() } else { 0.0 };
-        let wanted = limit.saturating_sub(first_triangles);
-        let by_triangles =
-            if wanted == 0 { 0.0 } else { triangles.saturating_sub(first_triangles) as f32 / wanted as f32 };
-        let share = by_error.max(by_triangles).clamp(0.0, 0.99);
-        self.percent = self.percent.max((share * 100.0) as u8);
+    /// The view is settled with so many triangles.
+    pub fn settle(&mut self, triangles: u32) {
+        self.settled = Some(triangles);
+    }
+
+    /// Notes the triangles held; `guess` are expected if no view has settled yet, and no more than `most`. Returns the per
+    /// cent, from 0 to 99.
+    pub fn note(&mut self, triangles: u32, guess: u32, most: u32) -> u8 {
+        let first = *self.begin.get_or_insert(triangles);
+        let wanted = self.settled.unwrap_or(guess).min(most).saturating_sub(first);
+        if wanted > 0 {
+            let share = triangles.saturating_sub(first) as f32 / wanted as f32;
+            self.percent = self.percent.max((share.min(0.99) * 100.0) as u8);
+        }
         self.percent
     }
 }
@@ -97,14 +110,19 @@ mod tests {
     #[test]
     fn per_cents_rise_and_stop_short_of_the_end() {
         let mut progress = Progress::default();
-        assert_eq!(progress.note(None, 1.0, 10, 1000), 0);
-        assert_eq!(progress.note(Some(64.0), 1.0, 10, 100_000), 0);
-        assert_eq!(progress.note(Some(8.0), 1.0, 50, 100_000), 50);
-        assert_eq!(progress.note(Some(16.0), 1.0, 40, 100_000), 50, "it never goes back");
-        assert_eq!(progress.note(Some(0.5), 1.0, 90_000, 100_000), 99);
+        assert_eq!(progress.note(20, 10_020, 1_000_000), 0);
+        assert_eq!(progress.note(5_020, 10_020, 1_000_000), 50);
+        assert_eq!(progress.note(4_000, 10_020, 1_000_000), 50, "it never goes back");
+        assert_eq!(progress.note(90_000, 10_020, 1_000_000), 99);
+        progress.settle(90_000);
         progress.begin();
-        assert_eq!(progress.note(Some(100.0), 0.0, 0, 200), 0);
-        assert_eq!(progress.note(Some(90.0), 0.0, 150, 200), 75, "the limit comes first");
-        assert_eq!(progress.note(Some(f32::NAN), 0.0, 0, 0), 75);
+        assert_eq!(progress.note(10_000, 1, 1_000_000), 0);
+        assert_eq!(progress.note(30_000, 1, 1_000_000), 25, "the last view knows better than the guess");
+        progress.begin();
+        assert_eq!(progress.note(10_000, 1, 30_000), 0);
+        assert_eq!(progress.note(20_000, 1, 30_000), 50, "there will not be more than the limit");
+        progress.begin();
+        assert_eq!(progress.note(95_000, 1, 1_000_000), 0, "nothing is expected to come");
+        assert_eq!(guess(1280 * 800, 1.0), 17_066);
     }
 }
