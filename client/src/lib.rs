@@ -4,10 +4,10 @@
 //! - [`camera`]: pose and lens, the view that the server gets, the matrix that the renderer draws with.
 //! - [`net`]: addresses, the WebSocket, simulated slow links.
 //! - `render`: the wgpu renderer (feature `render`).
-//! - `app`: what joins them: the offscreen client of `lodestream snapshot` (feature `net-native`).
+//! - `app`: what joins them: the offscreen client of `lodestream snapshot` (feature `net-native`), the viewer (`viewer`, `web`).
 //! - `load`: many clients without a picture, and what they measured: `lodestream load` (feature `net-native`).
 
-#[cfg(feature = "net-native")]
+#[cfg(any(feature = "net-native", feature = "viewer"))]
 pub mod app;
 pub mod camera;
 pub mod core;

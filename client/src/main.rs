@@ -12,7 +12,7 @@ use clap::{Args, CommandFactory, Parser, Subcommand};
 use glam::DVec3;
 use lodestream_client::app::drive::Until;
 use lodestream_client::app::file::{check_folder, write_aside};
-use lodestream_client::app::snapshot::{self, SnapshotOptions};
+use lodestream_client::app::snapshot::{self, Look, SnapshotOptions};
 use lodestream_client::camera::recording::Recording;
 use lodestream_client::camera::{Detail, Viewport};
 use lodestream_client::load::duty::Duty;
@@ -66,6 +66,18 @@ struct SnapshotArgs {
     /// Want every op of the model, whatever the view
     #[arg(long)]
     complete: bool,
+    /// Draw each face in one shade
+    #[arg(long)]
+    flat: bool,
+    /// Draw the edges of the faces
+    #[arg(long)]
+    wireframe: bool,
+    /// Colour faces by their size, from blue (coarse) to red (fine)
+    #[arg(long)]
+    levels: bool,
+    /// Depth of the shadows in crevices, 0 to 1
+    #[arg(long, value_name = "DEPTH", default_value = "0", value_parser = parse_depth)]
+    occlusion: f32,
     /// Rate of the simulated link, in each direction: 'unlimited' or such as 1Mbit, 256kbit
     #[arg(long, value_name = "RATE", default_value = "unlimited")]
     rate: LinkRate,
@@ -182,6 +194,12 @@ fn run_snapshot(args: SnapshotArgs) -> anyhow::Result<()> {
             tolerance_px: args.tolerance,
             complete: args.complete,
             two_sided: false,
+        },
+        look: Look {
+            flat: args.flat,
+            wireframe: args.wireframe,
+            refinement_colors: args.levels,
+            occlusion: args.occlusion,
         },
         shape: LinkShape { rate: args.rate, latency: args.latency, ..LinkShape::default() },
         until: args.until,
@@ -327,6 +345,10 @@ fn parse_seconds(text: &str) -> Result<std::time::Duration, String> {
 
 fn parse_loss(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|share| (0.0..=0.5).contains(share)).ok_or_else(|| "expected a share from 0 to 0.5".into())
+}
+
+fn parse_depth(text: &str) -> Result<f32, String> {
+    text.parse().ok().filter(|depth| (0.0..=1.0).contains(depth)).ok_or_else(|| "expected a number from 0 to 1".into())
 }
 
 fn parse_threads(text: &str) -> Result<usize, String> {

@@ -4,83 +4,19 @@
 #![cfg(feature = "render")]
 
 mod meshes;
+mod studio;
 
 use std::f64::consts::PI;
 
 use glam::{DQuat, DVec3, Vec3};
-use lodestream_client::render::options::{CLAY_LINEAR, light, srgb_decode, srgb_encode};
-use lodestream_client::render::{GpuOptions, Image, Offscreen, RenderCamera, RenderError, RenderOptions, Shading};
+use lodestream_client::render::options::{srgb_decode, srgb_encode};
+use lodestream_client::render::{Image, RenderCamera, RenderError, RenderOptions, Shading};
 use lodestream_protocol::mesh::Replica;
 use lodestream_protocol::quant::Lattice;
 use lodestream_protocol::testing::OperationRng;
-use lodestream_protocol::view::{Projection, look_along};
-use meshes::{Soup, cube, cylinder, icosphere, lattice, sheet};
-
-const SIZE: [u32; 2] = [640, 480];
-const FOV_Y_RAD: f32 = 0.8;
-
-/// A device and the lattice of the test meshes.
-struct Studio {
-    offscreen: Offscreen,
-    lattice: Lattice,
-}
-
-impl Studio {
-    fn open() -> Option<Self> {
-        match Offscreen::new(&GpuOptions::from_env()) {
-            Ok(offscreen) => Some(Self { offscreen, lattice: lattice() }),
-            Err(RenderError::NoAdapter) => {
-                eprintln!("skipped: no graphics adapter");
-                None
-            }
-            Err(e) => panic!("{e}"),
-        }
-    }
-
-    fn shoot(&mut self, name: &str, replica: &mut Replica, camera: &RenderCamera, options: &RenderOptions) -> Image {
-        let image = self.offscreen.render(replica, &self.lattice, camera, SIZE, options).expect("it draws");
-        if let Some(dir) = std::env::var_os("LODESTREAM_TEST_IMAGES") {
-            image.write_png(&std::path::Path::new(&dir).join(format!("{name}.png"))).expect("the folder exists");
-        }
-        image
-    }
-
-    fn shoot_soup(&mut self, name: &str, soup: &Soup, camera: &RenderCamera, options: &RenderOptions) -> Image {
-        self.shoot(name, &mut soup.replica(&self.lattice), camera, options)
-    }
-}
-
-fn looking(eye: DVec3, target: DVec3) -> RenderCamera {
-    RenderCamera {
-        eye,
-        rotation: look_along((target - eye).normalize(), DVec3::Y),
-        projection: Projection::Perspective { fov_y_rad: FOV_Y_RAD },
-        near: 0.01,
-    }
-}
-
-fn shaded(shading: Shading) -> RenderOptions {
-    RenderOptions { shading, ..RenderOptions::default() }
-}
-
-fn background() -> [u8; 3] {
-    RenderOptions::default().background
-}
-
-/// The shade of a surface with normal `n` in camera coordinates.
-fn clay(n: Vec3) -> [f32; 3] {
-    CLAY_LINEAR.map(|c| srgb_encode(c * light(n)))
-}
-
-/// Share of the pixels that are not background, edges counted in half.
-fn covered(image: &Image) -> f64 {
-    image.rgba.chunks_exact(4).filter(|p| p[..3] != background()).count() as f64
-}
-
-fn assert_close(got: [u8; 3], expected: [f32; 3], bound: f32) {
-    let off = (0..3).map(|k| (f32::from(got[k]) - expected[k]).abs()).fold(0.0, f32::max);
-    assert!(off <= bound, "{got:?} is not {expected:?} within {bound}");
-}
+use lodestream_protocol::view::Projection;
+use meshes::{cube, cylinder, icosphere, sheet};
+use studio::{FOV_Y_RAD, SIZE, Studio, assert_close, background, clay, covered, key_light, looking, shaded};
 
 /// Darkest green of what is not background or its blend: pixels whose four neighbours are all covered.
 fn darkest_inside(image: &Image) -> u8 {
@@ -205,7 +141,7 @@ fn vertex_colors_are_srgb() {
     let options = RenderOptions { vertex_colors: true, ..RenderOptions::default() };
     let camera = looking(DVec3::new(0.0, 0.0, 4.0), DVec3::ZERO);
     let image = studio.shoot_soup("color-uniform", &icosphere(4).colored(|_| color), &camera, &options);
-    let expected = color.map(|c| srgb_encode(srgb_decode(c) as f32 * light(Vec3::Z)));
+    let expected = color.map(|c| srgb_encode(srgb_decode(c) as f32 * key_light(Vec3::Z)));
     assert_close(image.pixel(320, 240), expected, 1.0);
     let rainbow = icosphere(4).colored(|p| (p * 127.0 + 128.0).to_array().map(|x| x as u8));
     studio.shoot_soup("color-rainbow", &rainbow, &looking(DVec3::new(2.0, 1.5, 2.5), DVec3::ZERO), &options);

@@ -36,6 +36,8 @@ pub struct SnapshotOptions {
     pub fov_y_rad: f32,
     /// How much to ask for.
     pub detail: Detail,
+    /// How the image is drawn.
+    pub look: Look,
     /// The simulated link.
     pub shape: LinkShape,
     /// When to stop.
@@ -46,6 +48,19 @@ pub struct SnapshotOptions {
     pub export: Option<PathBuf>,
     /// JSON file for the [`Outcome`].
     pub stats: Option<PathBuf>,
+}
+
+/// How the image is drawn: what of the renderer's options a command line needs.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Look {
+    /// One shade per face.
+    pub flat: bool,
+    /// Edges of the faces.
+    pub wireframe: bool,
+    /// Colours by the size of the faces.
+    pub refinement_colors: bool,
+    /// Depth of the shadows in crevices, 0 to 1.
+    pub occlusion: f32,
 }
 
 /// Why there is no snapshot.
@@ -114,7 +129,7 @@ pub fn run(options: &SnapshotOptions) -> Result<Outcome, SnapshotError> {
         write_aside(path, |out| write_ply(out, replica, model))?;
     }
     if let Some(path) = &options.output {
-        render_png(&mut session, camera.as_ref().ok_or(SnapshotError::NoMesh)?, options.viewport, path)?;
+        render_png(&mut session, camera.as_ref().ok_or(SnapshotError::NoMesh)?, options, path)?;
     }
     if let Some(path) = &options.stats {
         write_aside(path, |out| {
@@ -130,10 +145,11 @@ pub fn run(options: &SnapshotOptions) -> Result<Outcome, SnapshotError> {
 fn render_png(
     session: &mut ClientSession,
     camera: &Camera,
-    viewport: Viewport,
+    snapshot: &SnapshotOptions,
     path: &Path,
 ) -> Result<(), SnapshotError> {
-    use crate::render::{RenderCamera, RenderOptions, render_image};
+    use crate::render::{RenderCamera, RenderOptions, Shading, render_image};
+    let SnapshotOptions { viewport, look, .. } = snapshot;
     let model = session.model().ok_or(SnapshotError::NoMesh)?.clone();
     let pose = RenderCamera {
         eye: camera.eye,
@@ -142,6 +158,10 @@ fn render_png(
         near: camera.near,
     };
     let options = RenderOptions {
+        shading: if look.flat { Shading::Flat } else { Shading::Smooth },
+        wireframe: look.wireframe,
+        refinement_colors: look.refinement_colors,
+        occlusion: look.occlusion,
         vertex_colors: model.has_colors,
         crease_angle_deg: model.crease_angle_deg,
         ..RenderOptions::default()
@@ -153,7 +173,7 @@ fn render_png(
 }
 
 #[cfg(not(feature = "render"))]
-fn render_png(_: &mut ClientSession, _: &Camera, _: Viewport, _: &Path) -> Result<(), SnapshotError> {
+fn render_png(_: &mut ClientSession, _: &Camera, _: &SnapshotOptions, _: &Path) -> Result<(), SnapshotError> {
     Err(SnapshotError::NoRenderer)
 }
 

@@ -3,10 +3,14 @@
 //!
 //! Right-handed, y up, the camera looks along its own -z. All of it is in `f64` and in model units; only
 //! [`Camera::lattice_to_clip`] rounds, at the very end, so that survey coordinates in the millions keep their millimetres.
-//! [`Orbit`] turns pointer motion into poses; `recording` is the file format of a session's views.
+//! [`Orbit`] is a pose around a point, [`navigate`] how a person moves it, [`gesture`] what pointers mean, [`ray`] how pixels
+//! and points go together; `recording` is the file format of a session's views.
 
+pub mod gesture;
+pub mod navigate;
 mod orbit;
-#[cfg(feature = "net-native")]
+pub mod ray;
+#[cfg(any(feature = "net-native", feature = "viewer"))]
 pub mod recording;
 
 use glam::{DMat4, DQuat, DVec3, DVec4, Mat4};
@@ -14,7 +18,7 @@ use lodestream_protocol::message::ModelInfo;
 use lodestream_protocol::quant::Lattice;
 use lodestream_protocol::view::{Projection, View, look_along};
 
-pub use orbit::Orbit;
+pub use orbit::{Orbit, UpAxis};
 
 /// From where a model is looked at unless someone says otherwise: from the front, a little from the right and above.
 pub const DEFAULT_DIRECTION: DVec3 = DVec3::new(0.35, 0.25, 1.0);

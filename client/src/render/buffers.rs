@@ -7,6 +7,7 @@ use wgpu::util::DeviceExt;
 use wgpu::{Buffer, BufferUsages, CommandEncoder, Device};
 
 use super::error::RenderError;
+use super::pipeline::has_storage;
 use super::upload::{self, FACE_PAIR_BYTES, UploadPlan, VERTEX_BYTES, gpu_faces, gpu_vertices};
 
 /// Most bytes staged in one buffer.
@@ -163,11 +164,17 @@ fn pieces(ranges: &[Range<u32>], element_bytes: u64) -> impl Iterator<Item = Ran
     })
 }
 
+/// WebGL allows an index buffer no use besides, and has no storage buffers.
+fn shared_usage(device: &Device) -> BufferUsages {
+    let storage = if has_storage(&device.limits()) { BufferUsages::STORAGE } else { BufferUsages::empty() };
+    storage | BufferUsages::COPY_DST | BufferUsages::COPY_SRC
+}
+
 fn vertex_buffer(device: &Device, slots: u32) -> Buffer {
     device.create_buffer(&wgpu::BufferDescriptor {
         label: Some("mesh vertices"),
         size: u64::from(slots) * VERTEX_BYTES,
-        usage: BufferUsages::VERTEX | BufferUsages::STORAGE | BufferUsages::COPY_DST | BufferUsages::COPY_SRC,
+        usage: BufferUsages::VERTEX | shared_usage(device),
         mapped_at_creation: false,
     })
 }
@@ -176,7 +183,7 @@ fn index_buffer(device: &Device, slots: u32) -> Buffer {
     device.create_buffer(&wgpu::BufferDescriptor {
         label: Some("mesh faces"),
         size: u64::from(slots) * FACE_PAIR_BYTES,
-        usage: BufferUsages::INDEX | BufferUsages::STORAGE | BufferUsages::COPY_DST | BufferUsages::COPY_SRC,
+        usage: BufferUsages::INDEX | shared_usage(device),
         mapped_at_creation: false,
     })
 }

@@ -5,7 +5,7 @@
 //! in the millions and close-ups then cost no precision, and neither the origin nor the step reaches the GPU.
 
 use bytemuck::{Pod, Zeroable};
-use glam::{DMat4, DQuat, DVec3, DVec4, Vec3};
+use glam::{DMat4, DQuat, DVec3, DVec4, Mat4, Vec3, Vec4};
 use lodestream_protocol::quant::Lattice;
 use lodestream_protocol::view::{Projection, View};
 
@@ -50,17 +50,22 @@ pub struct CameraUniform {
     pub up: [f32; 4],
     /// Unit vector to the key light.
     pub key: [f32; 4],
+    /// From clip space back to camera coordinates: half the width and height of the image at distance 1 (perspective) or at
+    /// any (orthographic). Perspective: `z` is the near distance, `w` 0. Orthographic: `z` the depth's span and `w` the far
+    /// end's distance.
+    pub unproject: [f32; 4],
 }
 
 impl CameraUniform {
-    /// Composes what the shaders need for an image `aspect` times as wide as high.
-    pub fn new(camera: &RenderCamera, lattice: &Lattice, aspect: f64) -> Self {
+    /// Composes what the shaders need for an image `aspect` times as wide as high, lit from the direction `key` (unit length,
+    /// camera coordinates).
+    pub fn new(camera: &RenderCamera, lattice: &Lattice, aspect: f64, key: Vec3) -> Self {
         let rotation = camera.rotation.normalize();
-        let (right, up, back) = (rotation * DVec3::X, rotation * DVec3::Y, rotation * DVec3::Z);
+        let (up, back) = (rotation * DVec3::Y, rotation * DVec3::Z);
         let near = (camera.near / lattice.step).clamp(1e-20, 1e20);
         let eye = DVec3::from_array(lattice.to_lattice(camera.eye.to_array()));
         let camera_from_relative = DMat4::from_quat(rotation.inverse());
-        let (anchor, clip_from_camera) = match camera.projection {
+        let (anchor, clip_from_camera, unproject) = match camera.projection {
             Projection::Perspective { fov_y_rad } => {
                 let focal = 1.0 / (f64::from(fov_y_rad) / 2.0).tan();
                 let columns = [
@@ -69,7 +74,8 @@ impl CameraUniform {
                     DVec4::new(0.0, 0.0, 0.0, -1.0),
                     DVec4::new(0.0, 0.0, near, 0.0),
                 ];
-                (eye, DMat4::from_cols(columns[0], columns[1], columns[2], columns[3]))
+                let unproject = [aspect / focal, 1.0 / focal, near, 0.0];
+                (eye, DMat4::from_cols(columns[0], columns[1], columns[2], columns[3]), unproject)
             }
             Projection::Orthographic { height } => {
                 // Parallel rays do not care how far back the eye is, but `f32` does: measure from where the eye's ray
@@ -85,7 +91,8 @@ impl CameraUniform {
                     DVec4::new(0.0, 0.0, depth, 0.0),
                     DVec4::new(0.0, 0.0, (far - ahead) * depth, 1.0),
                 ];
-                (eye - back * ahead, DMat4::from_cols(columns[0], columns[1], columns[2], columns[3]))
+                let unproject = [aspect / scale, 1.0 / scale, far - near, far - ahead];
+                (eye - back * ahead, DMat4::from_cols(columns[0], columns[1], columns[2], columns[3]), unproject)
             }
         };
         let clip_from_relative = (clip_from_camera * camera_from_relative).as_mat4();
@@ -98,29 +105,33 @@ impl CameraUniform {
             eye_low: low.extend(0.0).to_array(),
             back: back.as_vec3().extend(if is_parallel { 1.0 } else { 0.0 }).to_array(),
             up: up.as_vec3().extend(0.0).to_array(),
-            key: key_direction(right, up, back).extend(0.0).to_array(),
+            key: (rotation * key.as_dvec3()).as_vec3().extend(0.0).to_array(),
+            unproject: unproject.map(|x| x as f32),
         }
     }
-}
 
-/// The key light comes from behind the viewer's right shoulder, whatever the view: a scan is never seen unlit.
-fn key_direction(right: DVec3, up: DVec3, back: DVec3) -> Vec3 {
-    (back + 0.4 * up + 0.3 * right).normalize().as_vec3()
+    /// Where a point in lattice coordinates is in clip space, in `f32` as the shaders compute it.
+    pub fn clip(&self, p: Vec3) -> Vec4 {
+        let relative = (p - Vec4::from_array(self.eye_high).truncate()) - Vec4::from_array(self.eye_low).truncate();
+        Mat4::from_cols_array_2d(&self.clip_from_relative) * relative.extend(1.0)
+    }
+
+    /// The point that the shaders' coordinates are relative to, in lattice steps: the eye, or for orthographic cameras a
+    /// point on its axis.
+    pub fn anchor(&self) -> DVec3 {
+        DVec3::from_array(std::array::from_fn(|k| f64::from(self.eye_high[k]) + f64::from(self.eye_low[k])))
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use glam::{Mat4, Vec4};
     use lodestream_protocol::view::look_along;
 
     use super::*;
 
-    /// Where the shader puts lattice point `p`, in `f32` as the shader does it.
+    /// Where the shader puts lattice point `p`.
     fn clip(uniform: &CameraUniform, p: [i32; 3]) -> Vec4 {
-        let p = Vec3::from_array(p.map(|x| x as f32));
-        let relative =
-            (p - Vec4::from_array(uniform.eye_high).truncate()) - Vec4::from_array(uniform.eye_low).truncate();
-        Mat4::from_cols_array_2d(&uniform.clip_from_relative) * relative.extend(1.0)
+        uniform.clip(Vec3::from_array(p.map(|x| x as f32)))
     }
 
     #[test]
@@ -135,7 +146,7 @@ mod tests {
             projection: Projection::Perspective { fov_y_rad: 0.8 },
             near: 1e-4,
         };
-        let uniform = CameraUniform::new(&camera, &lattice, 1.5);
+        let uniform = CameraUniform::new(&camera, &lattice, 1.5, Vec3::Z);
         let at = clip(&uniform, [1_500_000, 2_000_001, 1_999_999]);
         // f64 model coordinates of this size resolve 1e-9 m: 1e-5 steps at a distance of 50 steps.
         assert!((at.x / at.w).abs() < 1e-5 && (at.y / at.w).abs() < 1e-5, "{at}");
@@ -153,7 +164,7 @@ mod tests {
                 projection: Projection::Orthographic { height: 4.0 },
                 near: 0.5,
             };
-            let uniform = CameraUniform::new(&camera, &lattice, 1.0);
+            let uniform = CameraUniform::new(&camera, &lattice, 1.0, Vec3::Z);
             let (front, rear) = (clip(&uniform, [1023, 0, 1023]), clip(&uniform, [1023, 0, 0]));
             assert!((front.x - 0.5).abs() < 1e-6 && (front.y + 0.5).abs() < 1e-6 && front.w == 1.0, "{front}");
             assert!(front.z > rear.z && rear.z > 0.0 && front.z < 1.0, "{front} {rear}");

@@ -26,6 +26,12 @@ pub enum RenderError {
         #[source]
         source: wgpu::RequestDeviceError,
     },
+    /// The adapter cannot present to the window.
+    #[error("graphics adapter \"{adapter}\" cannot show images in this window")]
+    NoSurfaceFormat {
+        /// Name of the adapter.
+        adapter: String,
+    },
     /// The image is empty or larger than the device's textures.
     #[error("an image of {width} x {height} pixels is out of range: this device draws 1 to {limit} per side")]
     ImageSize {

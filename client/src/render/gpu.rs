@@ -2,17 +2,29 @@
 
 use super::error::RenderError;
 
+/// What adapters are looked for: the native ones; WebGPU in browsers, WebGL 2 in the bundle that is built for it.
+const BACKENDS: wgpu::Backends = if cfg!(not(target_arch = "wasm32")) {
+    wgpu::Backends::PRIMARY
+} else if cfg!(feature = "webgl") {
+    wgpu::Backends::GL
+} else {
+    wgpu::Backends::BROWSER_WEBGPU
+};
+
 /// How to choose an adapter.
 #[derive(Clone, Debug, Default)]
 pub struct GpuOptions {
     /// Part of the adapter's name, any case. `None` takes the fastest kind there is. Browsers choose themselves.
     pub adapter_name: Option<String>,
+    /// Takes no more of the device than WebGL 2 has, to see what is drawn there.
+    pub as_webgl: bool,
 }
 
 impl GpuOptions {
     /// The adapter that `LODESTREAM_ADAPTER` names, if it is set.
     pub fn from_env() -> Self {
-        Self { adapter_name: std::env::var("LODESTREAM_ADAPTER").ok().filter(|name| !name.is_empty()) }
+        let adapter_name = std::env::var("LODESTREAM_ADAPTER").ok().filter(|name| !name.is_empty());
+        Self { adapter_name, ..Self::default() }
     }
 }
 
@@ -34,6 +46,7 @@ impl Gpu {
     pub fn instance() -> wgpu::Instance {
         let descriptor = wgpu::InstanceDescriptor {
             flags: wgpu::InstanceFlags::empty().with_env(),
+            backends: BACKENDS,
             ..wgpu::InstanceDescriptor::new_without_display_handle()
         };
         wgpu::Instance::new(descriptor)
@@ -54,7 +67,7 @@ impl Gpu {
             .request_device(&wgpu::DeviceDescriptor {
                 label: Some("lodestream"),
                 required_features: wgpu::Features::empty(),
-                required_limits: limits(&adapter.limits()),
+                required_limits: limits(&adapter.limits(), options.as_webgl),
                 ..Default::default()
             })
             .await
@@ -80,12 +93,13 @@ impl Gpu {
 }
 
 /// The same few capabilities everywhere, so that what draws here draws elsewhere; only sizes follow the adapter.
-fn limits(adapter: &wgpu::Limits) -> wgpu::Limits {
-    let base = wgpu::Limits::downlevel_defaults();
+fn limits(adapter: &wgpu::Limits, as_webgl: bool) -> wgpu::Limits {
+    let base = if as_webgl { wgpu::Limits::downlevel_webgl2_defaults() } else { wgpu::Limits::downlevel_defaults() };
+    let max_storage_buffer_binding_size = if as_webgl { 0 } else { adapter.max_storage_buffer_binding_size };
     wgpu::Limits {
         max_texture_dimension_2d: adapter.max_texture_dimension_2d,
         max_buffer_size: adapter.max_buffer_size,
-        max_storage_buffer_binding_size: adapter.max_storage_buffer_binding_size,
+        max_storage_buffer_binding_size,
         ..base
     }
     .or_worse_values_from(adapter)
@@ -97,7 +111,7 @@ async fn choose(
     surface: Option<&wgpu::Surface<'_>>,
     options: &GpuOptions,
 ) -> Result<wgpu::Adapter, RenderError> {
-    let mut adapters = instance.enumerate_adapters(wgpu::Backends::PRIMARY).await;
+    let mut adapters = instance.enumerate_adapters(BACKENDS).await;
     adapters.retain(|adapter| surface.is_none_or(|surface| adapter.is_surface_supported(surface)));
     if adapters.is_empty() {
         return Err(RenderError::NoAdapter);

@@ -41,6 +41,11 @@ impl Offscreen {
         &self.renderer
     }
 
+    /// The renderer, for what it draws besides the mesh.
+    pub fn renderer_mut(&mut self) -> &mut Renderer {
+        &mut self.renderer
+    }
+
     /// What the last image cost.
     pub fn stats(&self) -> DrawStats {
         self.stats

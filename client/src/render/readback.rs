@@ -6,7 +6,7 @@ use wgpu::{Device, Queue, TextureFormat, TextureView};
 
 use super::error::RenderError;
 use super::image::Image;
-use super::renderer::check_size;
+use super::target::check_size;
 
 /// Format of targets that are read back.
 pub const FORMAT: TextureFormat = TextureFormat::Rgba8UnormSrgb;

@@ -1,19 +1,25 @@
 //! One image of a replica: upload what changed, compute normals, draw.
 
-use lodestream_protocol::mesh::Replica;
+use std::time::Duration;
+
+use lodestream_protocol::mesh::{Birth, Replica};
 use lodestream_protocol::quant::Lattice;
+use wgpu::util::DeviceExt;
 use wgpu::{BindGroup, Buffer, BufferUsages, CommandEncoder, Device, Queue, TextureFormat, TextureView};
 
 use super::buffers::MeshBuffers;
 use super::camera::{CameraUniform, RenderCamera};
+use super::corners::CornerBuffers;
 use super::error::RenderError;
-use super::options::{CLAY_LINEAR, RenderOptions, Shading, srgb_decode};
-use super::pipeline::{DEPTH_FORMAT, Globals, Pipelines, SAMPLES, SmoothPipelines, WORKGROUP};
-
-/// Bytes per slot of the buffers that smooth shading needs besides the mesh: links, face normals, corner normals.
-const LINK_BYTES: u64 = 4 + 24;
-const FACE_NORMAL_BYTES: u64 = 32;
-const CORNER_NORMAL_BYTES: u64 = 24;
+use super::globals::{Globals, encode};
+use super::lines::{Line, gpu_lines};
+use super::morph::{MorphView, Morphs, Motion};
+use super::morph_buffers::{MorphBuffers, MorphPipeline};
+use super::occlusion::{OcclusionBuffers, OcclusionPipelines};
+use super::options::{RenderOptions, Shading};
+use super::pipeline::{Geometry, MeshPipeline, Pipelines};
+use super::target::Canvas;
+use super::upload::UploadPlan;
 
 /// Draws one replica to targets of one format.
 ///
@@ -29,41 +35,45 @@ pub struct Renderer {
     mesh: MeshBuffers,
     globals: Buffer,
     globals_group: BindGroup,
-    smooth: Option<SmoothBuffers>,
-    /// Of the normals in `smooth`, `None` if the mesh has changed since.
-    computed_crease: Option<f32>,
-    target: Option<TargetBuffers>,
+    corners: Option<CornerBuffers>,
+    canvas: Option<Canvas>,
+    occlusion_pipelines: Option<OcclusionPipelines>,
+    /// Of the canvas.
+    occlusion: Option<OcclusionBuffers>,
+    lines: Vec<Line>,
+    morphs: Morphs,
+    motion: Motion,
+    morph_pipeline: Option<MorphPipeline>,
+    morph_buffers: Option<MorphBuffers>,
 }
 
-/// What an image cost.
+/// What an image cost, and which of its options this device could not do.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DrawStats {
-    /// Bytes written to the mesh buffers.
+    /// Bytes written to the mesh buffers and for transitions.
     pub uploaded_bytes: u64,
+    /// Whether vertices are on their way to their places: the next image will differ though nothing else changes.
+    pub is_moving: bool,
     /// Whether normals were computed.
     pub computed_normals: bool,
     /// Whether smooth shading was asked for and possible.
     pub is_smooth: bool,
+    /// Whether occlusion was asked for and possible.
+    pub has_occlusion: bool,
+    /// Whether wireframe, refinement colours or tinted backs were asked for and possible.
+    pub has_details: bool,
 }
 
-/// Multisampled colour and depth of the current size.
-#[derive(Debug)]
-struct TargetBuffers {
-    width: u32,
-    height: u32,
-    color: TextureView,
-    depth: TextureView,
-}
-
-/// What smooth shading needs besides the mesh, for as many slots as the mesh buffers hold.
-#[derive(Debug)]
-struct SmoothBuffers {
-    links: Buffer,
-    corner_normals: Buffer,
-    capacity_slots: u32,
-    link_group: BindGroup,
-    corners_group: BindGroup,
-    draw_group: BindGroup,
+/// What belongs to one image and goes from step to step.
+struct Image<'a> {
+    target: &'a TextureView,
+    options: &'a RenderOptions,
+    pipeline: MeshPipeline,
+    /// Instances of lines and their number: first all that are hidden, then all that are seen.
+    lines: Option<(Buffer, u32)>,
+    has_occlusion: bool,
+    /// Vertices are drawn where they are shown.
+    is_moving: bool,
 }
 
 impl Renderer {
@@ -89,9 +99,15 @@ impl Renderer {
             mesh: MeshBuffers::new(device),
             globals,
             globals_group,
-            smooth: None,
-            computed_crease: None,
-            target: None,
+            corners: None,
+            canvas: None,
+            occlusion_pipelines: None,
+            occlusion: None,
+            lines: Vec::new(),
+            morphs: Morphs::default(),
+            motion: Motion::default(),
+            morph_pipeline: None,
+            morph_buffers: None,
         }
     }
 
@@ -100,36 +116,31 @@ impl Renderer {
         &self.mesh
     }
 
+    /// Lines that are drawn on top of every image from now on: at most [`MAX_LINES`](super::lines::MAX_LINES).
+    pub fn set_lines(&mut self, lines: &[Line]) {
+        self.lines.clear();
+        self.lines.extend_from_slice(lines);
+    }
+
     /// Makes room for targets of this size in pixels. Does nothing if it has not changed.
     ///
     /// # Errors
     /// [`RenderError::ImageSize`].
     pub fn resize(&mut self, width: u32, height: u32) -> Result<(), RenderError> {
-        if self.target.as_ref().is_some_and(|t| (t.width, t.height) == (width, height)) {
+        let size = [width, height];
+        let held = self.canvas.as_ref();
+        if held.is_some_and(|canvas| canvas.size == size) {
             return Ok(());
         }
-        check_size(&self.device, width, height)?;
-        let view = |label, format| {
-            let texture = self.device.create_texture(&wgpu::TextureDescriptor {
-                label: Some(label),
-                size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
-                mip_level_count: 1,
-                sample_count: SAMPLES,
-                dimension: wgpu::TextureDimension::D2,
-                format,
-                usage: wgpu::TextureUsages::RENDER_ATTACHMENT,
-                view_formats: &[],
-            });
-            texture.create_view(&Default::default())
-        };
-        // The old ones go first: both may not fit at once.
-        self.target = None;
-        self.target = Some(TargetBuffers {
-            width,
-            height,
-            color: view("color", self.format),
-            depth: view("depth", DEPTH_FORMAT),
-        });
+        let is_read = held.is_some_and(|canvas| canvas.is_read);
+        self.replace_canvas(size, is_read)
+    }
+
+    fn replace_canvas(&mut self, size: [u32; 2], is_read: bool) -> Result<(), RenderError> {
+        // The old one goes first: both may not fit at once.
+        self.occlusion = None;
+        self.canvas = None;
+        self.canvas = Some(Canvas::new(&self.device, self.format, size, is_read)?);
         Ok(())
     }
 
@@ -137,7 +148,7 @@ impl Renderer {
     /// submits. The buffers equal the replica then.
     ///
     /// # Errors
-    /// [`RenderError::MeshTooLarge`]; nothing is drawn then.
+    /// [`RenderError::MeshTooLarge`], [`RenderError::ImageSize`]; nothing is drawn then.
     ///
     /// # Panics
     /// Without a [`resize`](Self::resize) before.
@@ -151,165 +162,223 @@ impl Renderer {
     ) -> Result<DrawStats, RenderError> {
         let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("image") });
         let plan = self.mesh.update(&self.device, &mut encoder, replica)?;
-        let size = self.target.as_ref().expect("resize comes before draw");
-        let aspect = f64::from(size.width) / f64::from(size.height);
-        let camera = CameraUniform::new(camera, lattice, aspect);
-        let crease = options.crease_angle_deg.clamp(0.0, 180.0);
-        self.write_globals(camera, options.vertex_colors, crease);
-        if !plan.is_empty() || plan.grow_to.is_some() {
-            self.computed_crease = None;
+        let births = replica.dirty_mut().and_then(|dirty| dirty.take_births());
+        if let Some(corners) = &mut self.corners
+            && !plan.is_empty()
+        {
+            corners.computed_crease = None;
         }
-        let is_smooth = options.shading == Shading::Smooth && self.prepare_smooth();
-        let computed_normals = is_smooth && self.computed_crease != Some(crease);
-        if computed_normals {
-            self.compute_normals(&mut encoder);
-            self.computed_crease = Some(crease);
+        let size = self.canvas.as_ref().expect("resize comes before draw").size;
+        let aspect = f64::from(size[0]) / f64::from(size[1]);
+        let camera = CameraUniform::new(camera, lattice, aspect, options.light_direction());
+        let has_occlusion = options.occlusion > 0.0 && self.prepare_occlusion(size)?;
+        let mut globals = Globals::new(camera, lattice, options, size, self.format);
+        globals.section_alpha = if has_occlusion { 0.0 } else { 1.0 };
+        let view =
+            MorphView { camera: &camera, size, extent: lattice.max_coordinate() as f32, duration: Duration::ZERO };
+        let (is_moving, morph_bytes) = match options.geomorph {
+            Some(now) => self.advance(now, births, &plan, replica, view),
+            None => {
+                // What happens from here on is not followed, so nothing may be built on it later.
+                (self.morphs, self.morph_buffers) = (Morphs::default(), None);
+                (false, 0)
+            }
+        };
+        (globals.morph_now_s, globals.morph_share) = (self.morphs.now_s(), self.morphs.share());
+        self.write_globals(globals);
+        if let (true, Some(pipeline), Some(buffers)) = (is_moving, &self.morph_pipeline, &self.morph_buffers) {
+            buffers.encode(&self.device, &mut encoder, pipeline, &self.globals_group, self.mesh.slot_end());
         }
-        self.encode_pass(&mut encoder, target, is_smooth, options.background);
+
+        let by_corner = (options.shading == Shading::Smooth || options.has_details())
+            && self.prepare_corners(&mut encoder, is_moving);
+        let is_smooth = by_corner && options.shading == Shading::Smooth;
+        let computed_normals = is_smooth && self.compute_normals(&mut encoder, options.crease_angle_deg);
+        let pipeline = MeshPipeline {
+            geometry: match (by_corner, is_smooth) {
+                (false, _) => Geometry::Indexed,
+                (true, false) => Geometry::Flat,
+                (true, true) => Geometry::Smooth,
+            },
+            has_details: by_corner && options.has_details(),
+            is_cut: options.unit_section().is_some(),
+        };
+        let image =
+            Image { target, options, pipeline, lines: self.upload_lines(&camera, lattice), has_occlusion, is_moving };
+        self.encode_pass(&mut encoder, &image);
+        if let (true, Some(pipelines), Some(buffers)) = (has_occlusion, &self.occlusion_pipelines, &self.occlusion) {
+            buffers.encode(&mut encoder, pipelines, &self.globals_group, target, pipeline.is_cut);
+        }
         self.queue.submit([encoder.finish()]);
-        Ok(DrawStats { uploaded_bytes: plan.bytes(), computed_normals, is_smooth })
+        Ok(DrawStats {
+            uploaded_bytes: plan.bytes() + morph_bytes,
+            is_moving,
+            computed_normals,
+            is_smooth,
+            has_occlusion,
+            has_details: pipeline.has_details,
+        })
     }
 
-    fn write_globals(&self, camera: CameraUniform, vertex_colors: bool, crease_angle_deg: f32) {
-        let [r, g, b] = CLAY_LINEAR;
-        let globals = Globals {
-            camera,
-            base_color: [r, g, b, if vertex_colors { 1.0 } else { 0.0 }],
-            slot_end: self.mesh.slot_end(),
-            capacity_slots: self.mesh.capacity_slots(),
-            crease_cosine: crease_angle_deg.to_radians().cos(),
-            unused: 0,
-        };
+    fn write_globals(&self, mut globals: Globals) {
+        globals.slot_end = self.mesh.slot_end();
+        globals.capacity_slots = self.mesh.capacity_slots();
         self.queue.write_buffer(&self.globals, 0, bytemuck::bytes_of(&globals));
     }
 
-    /// Makes the buffers for smooth shading as large as the mesh's. False where the device cannot.
-    fn prepare_smooth(&mut self) -> bool {
-        let Some(pipelines) = &self.pipelines.smooth else { return false };
-        let capacity = self.mesh.capacity_slots();
-        let limits = self.device.limits();
-        let largest = limits.max_buffer_size.min(limits.max_storage_buffer_binding_size);
-        if u64::from(capacity) * FACE_NORMAL_BYTES > largest {
-            self.smooth = None;
+    /// Lets transitions begin and says whether any runs, and how many bytes that took. Nothing moves on devices without
+    /// storage buffers.
+    fn advance(
+        &mut self,
+        now: Duration,
+        births: Option<Vec<Birth>>,
+        plan: &UploadPlan,
+        replica: &Replica,
+        mut view: MorphView<'_>,
+    ) -> (bool, u64) {
+        if self.pipelines.corners.is_none() {
+            return (false, 0);
+        }
+        let births = births.filter(|_| !self.morphs.is_empty());
+        view.duration = self.motion.follow(now, view.camera, view.extent);
+        self.morphs.advance(now, births.as_deref(), &plan.vertices, replica, &view);
+        if !self.morphs.is_running() {
+            return (false, 0);
+        }
+        let pipeline =
+            self.morph_pipeline.get_or_insert_with(|| MorphPipeline::new(&self.device, &self.pipelines.globals));
+        let mut changed = self.morphs.take_changed();
+        if self.morph_buffers.as_ref().is_none_or(|buffers| !buffers.are_of(&self.mesh)) {
+            self.morph_buffers = None;
+            self.morph_buffers = Some(MorphBuffers::new(&self.device, pipeline, &self.mesh));
+            changed = (0..self.morphs.len()).collect();
+        }
+        let bytes = self.morph_buffers.as_ref().map_or(0, |buffers| buffers.write(&self.queue, &self.morphs, &changed));
+        (true, bytes)
+    }
+
+    /// Makes what occlusion needs. False where the device cannot: passes that read samples are beyond WebGL.
+    fn prepare_occlusion(&mut self, size: [u32; 2]) -> Result<bool, RenderError> {
+        if self.pipelines.corners.is_none() {
+            return Ok(false);
+        }
+        if self.canvas.as_ref().is_none_or(|canvas| !canvas.is_read) {
+            self.replace_canvas(size, true)?;
+        }
+        let pipelines = self
+            .occlusion_pipelines
+            .get_or_insert_with(|| OcclusionPipelines::new(&self.device, &self.pipelines.globals, self.format));
+        if let (None, Some(canvas)) = (&self.occlusion, &self.canvas) {
+            self.occlusion = Some(OcclusionBuffers::new(&self.device, pipelines, canvas));
+        }
+        Ok(true)
+    }
+
+    /// Makes the buffers for drawing by corner as large as the mesh's. False where the device cannot.
+    fn prepare_corners(&mut self, encoder: &mut CommandEncoder, is_moving: bool) -> bool {
+        let Some(pipelines) = &self.pipelines.corners else { return false };
+        if !CornerBuffers::fit(&self.device, self.mesh.capacity_slots()) {
+            self.corners = None;
             return false;
         }
-        if self.smooth.as_ref().is_none_or(|s| s.capacity_slots != capacity) {
-            self.smooth = None;
-            self.smooth = Some(SmoothBuffers::new(&self.device, pipelines, &self.mesh));
-            self.computed_crease = None;
+        let held = self.corners.take();
+        let shown = self.morph_buffers.as_ref().filter(|_| is_moving).map(|buffers| buffers.shown());
+        let (mut corners, outgrown) = match held {
+            Some(corners) if corners.are_of(&self.mesh) => (corners, None),
+            outgrown => {
+                // Of what is not needed as a beginning, the old goes first: both may not fit at once.
+                let outgrown = outgrown.filter(|_| is_moving);
+                (CornerBuffers::new(&self.device, pipelines, &self.mesh), outgrown)
+            }
+        };
+        match shown {
+            Some(shown) if !corners.is_moving() => {
+                corners.begin_to_move(&self.device, encoder, pipelines, &self.mesh, shown, outgrown.as_ref());
+            }
+            Some(_) => {}
+            None => corners.stop_moving(),
         }
+        self.corners = Some(corners);
         true
     }
 
-    fn compute_normals(&self, encoder: &mut CommandEncoder) {
-        let (Some(pipelines), Some(buffers)) = (&self.pipelines.smooth, &self.smooth) else { return };
-        let slots = self.mesh.slot_end();
-        if slots == 0 {
-            return;
+    /// Computes normals unless they are there, and says whether it did. Those that are shown follow.
+    fn compute_normals(&mut self, encoder: &mut CommandEncoder, crease_angle_deg: f32) -> bool {
+        let (Some(pipelines), Some(corners)) = (&self.pipelines.corners, &mut self.corners) else { return false };
+        let (device, globals, slots) = (&self.device, &self.globals_group, self.mesh.slot_end());
+        let crease = Some(crease_angle_deg.clamp(0.0, 180.0));
+        let is_due = corners.computed_crease != crease;
+        if is_due {
+            corners.compute_normals(device, encoder, pipelines, globals, slots);
+            corners.computed_crease = crease;
         }
-        encoder.clear_buffer(&buffers.links, 0, Some(u64::from(slots) * 4));
-        encoder.clear_buffer(&buffers.corner_normals, 0, Some(u64::from(slots) * CORNER_NORMAL_BYTES));
-        let mut pass =
-            encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("normals"), timestamp_writes: None });
-        pass.set_bind_group(0, &self.globals_group, &[]);
-        let most_x = self.device.limits().max_compute_workgroups_per_dimension;
-        let mut dispatch = |pipeline, group, elements: u32| {
-            let groups = elements.div_ceil(WORKGROUP);
-            let x = groups.min(most_x);
-            pass.set_pipeline(pipeline);
-            pass.set_bind_group(1, group, &[]);
-            pass.dispatch_workgroups(x, groups.div_ceil(x), 1);
-        };
-        dispatch(&pipelines.link, &buffers.link_group, 2 * slots);
-        dispatch(&pipelines.corners, &buffers.corners_group, slots);
+        corners.follow(device, encoder, pipelines, globals, slots);
+        is_due
     }
 
-    fn encode_pass(&self, encoder: &mut CommandEncoder, target: &TextureView, is_smooth: bool, background: [u8; 3]) {
-        let buffers = self.target.as_ref().expect("resize comes before draw");
-        let component = |byte: u8| if self.format.is_srgb() { srgb_decode(byte) } else { f64::from(byte) / 255.0 };
-        let [r, g, b] = background.map(component);
+    fn upload_lines(&self, camera: &CameraUniform, lattice: &Lattice) -> Option<(Buffer, u32)> {
+        let lines = gpu_lines(&self.lines, camera, lattice);
+        let buffer = (!lines.is_empty()).then(|| {
+            self.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+                label: Some("lines"),
+                contents: bytemuck::cast_slice(&lines),
+                usage: BufferUsages::VERTEX,
+            })
+        })?;
+        Some((buffer, lines.len() as u32))
+    }
+
+    fn encode_pass(&mut self, encoder: &mut CommandEncoder, image: &Image<'_>) {
+        let canvas = self.canvas.as_ref().expect("resize comes before draw");
+        let keep = |is_kept| if is_kept { wgpu::StoreOp::Store } else { wgpu::StoreOp::Discard };
+        let [r, g, b] = image.options.background.map(|byte| encode(self.format, byte));
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("mesh"),
             color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                view: &buffers.color,
+                view: &canvas.color,
                 depth_slice: None,
-                resolve_target: Some(target),
+                resolve_target: Some(image.target),
                 ops: wgpu::Operations {
                     load: wgpu::LoadOp::Clear(wgpu::Color { r, g, b, a: 1.0 }),
-                    store: wgpu::StoreOp::Discard,
+                    store: keep(image.has_occlusion && image.pipeline.is_cut),
                 },
             })],
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: &buffers.depth,
-                depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Discard }),
+                view: &canvas.depth,
+                depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: keep(image.has_occlusion) }),
                 stencil_ops: None,
             }),
             timestamp_writes: None,
             occlusion_query_set: None,
             multiview_mask: None,
         });
-        let corners = 6 * self.mesh.slot_end();
-        if corners == 0 {
-            return;
-        }
         pass.set_bind_group(0, &self.globals_group, &[]);
-        match (&self.pipelines.smooth, &self.smooth) {
-            (Some(pipelines), Some(smooth)) if is_smooth => {
-                pass.set_pipeline(&pipelines.draw);
-                pass.set_bind_group(1, &smooth.draw_group, &[]);
-                pass.draw(0..corners, 0..1);
-            }
-            _ => {
-                pass.set_pipeline(&self.pipelines.flat);
-                pass.set_vertex_buffer(0, self.mesh.vertices().slice(..));
+        if image.options.background_top.is_some() {
+            pass.set_pipeline(&self.pipelines.background);
+            pass.draw(0..3, 0..1);
+        }
+        let corners = 6 * self.mesh.slot_end();
+        if corners > 0 {
+            pass.set_pipeline(self.pipelines.mesh(&self.device, image.pipeline));
+            if image.pipeline.geometry == Geometry::Indexed {
+                let shown = self.morph_buffers.as_ref().filter(|_| image.is_moving).map(|buffers| buffers.shown());
+                pass.set_vertex_buffer(0, shown.unwrap_or(self.mesh.vertices()).slice(..));
                 pass.set_index_buffer(self.mesh.indices().slice(..), wgpu::IndexFormat::Uint32);
                 pass.draw_indexed(0..corners, 0, 0..1);
+            } else {
+                let buffers = self.corners.as_ref().expect("prepared for this geometry");
+                pass.set_bind_group(1, buffers.draw_group(), &[]);
+                pass.draw(0..corners, 0..1);
+            }
+        }
+        if let Some((lines, count)) = &image.lines {
+            pass.set_vertex_buffer(0, lines.slice(..));
+            for (pipeline, instances) in
+                [(&self.pipelines.hidden_lines, 0..count / 2), (&self.pipelines.lines, count / 2..*count)]
+            {
+                pass.set_pipeline(pipeline);
+                pass.draw(0..4, instances);
             }
         }
     }
-}
-
-impl SmoothBuffers {
-    fn new(device: &Device, pipelines: &SmoothPipelines, mesh: &MeshBuffers) -> Self {
-        let capacity_slots = mesh.capacity_slots();
-        let buffer = |label, bytes: u64| {
-            device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some(label),
-                size: u64::from(capacity_slots) * bytes,
-                usage: BufferUsages::STORAGE | BufferUsages::COPY_DST,
-                mapped_at_creation: false,
-            })
-        };
-        let links = buffer("links", LINK_BYTES);
-        let face_normals = buffer("face normals", FACE_NORMAL_BYTES);
-        let corner_normals = buffer("corner normals", CORNER_NORMAL_BYTES);
-        let (vertices, indices) = (mesh.vertices(), mesh.indices());
-        let group = |layout, bindings: &[(u32, &Buffer)]| {
-            let entries: Vec<_> = bindings
-                .iter()
-                .map(|&(binding, buffer)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
-                .collect();
-            device.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout, entries: &entries })
-        };
-        let link_bindings = [(0, vertices), (1, indices), (2, &links), (3, &face_normals)];
-        let corner_bindings = [(1, indices), (2, &links), (3, &face_normals), (4, &corner_normals)];
-        let draw_bindings = [(0, vertices), (1, indices), (2, &corner_normals)];
-        Self {
-            link_group: group(&pipelines.link_layout, &link_bindings),
-            corners_group: group(&pipelines.corners_layout, &corner_bindings),
-            draw_group: group(&pipelines.draw_layout, &draw_bindings),
-            links,
-            corner_normals,
-            capacity_slots,
-        }
-    }
-}
-
-/// Whether the device has textures of this size.
-pub(super) fn check_size(device: &Device, width: u32, height: u32) -> Result<(), RenderError> {
-    let limit = device.limits().max_texture_dimension_2d;
-    if (1..=limit).contains(&width) && (1..=limit).contains(&height) {
-        return Ok(());
-    }
-    Err(RenderError::ImageSize { width, height, limit })
 }

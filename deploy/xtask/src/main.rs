@@ -6,11 +6,13 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 
+mod browser;
 mod growth;
 
 const USAGE: &str = "usage: cargo xtask <command>
 
   demo [args]   build everything and run `lodestream-server demo`: a sample model, ingested and served
+  browser       build the viewer for browsers into target/browser/bundle, which servers built afterwards embed
   test          everything that has to pass: format, lints, tests, docs, browser build and its twin, fuzz smoke, 10^7 ops of soak
   fuzz [secs]   mutate frames, batches and mesh files for so many seconds per target (default 20)
   bench [args]  measure the figures of TARGETS.md: [ROW...] [FILE...] [--json] [--bits N] [--runs N]; models of LODESTREAM_MESHES
@@ -31,6 +33,7 @@ fn main() -> ExitCode {
     let rest: Vec<String> = args.collect();
     let result = match command.as_str() {
         "demo" => demo(&rest),
+        "browser" => browser::build(),
         "test" => test(),
         "fuzz" => fuzz(rest.first().map_or("20", String::as_str)),
         "bench" => program("bench", &rest),
@@ -74,6 +77,11 @@ fn run(program: &str, args: &[&str], environment: &[(&str, &str)]) -> Result<()>
 }
 
 fn demo(args: &[String]) -> Result<()> {
+    if wasm_toolchain() {
+        browser::build()?;
+    } else {
+        println!("without a wasm32 toolchain the demo's page has no viewer (cargo xtask setup installs one on Debian)");
+    }
     println!("building the server and the client (a few minutes the first time)");
     run("cargo", &["build", "--release", "-p", "lodestream-server", "-p", "lodestream-client"], &[])?;
     let binary = target_dir().join("release").join("lodestream-server");

@@ -11,7 +11,7 @@ mod patch;
 mod replica;
 
 pub use bits::SlotSet;
-pub use dirty::DirtySlots;
+pub use dirty::{Birth, DirtySlots};
 pub use fan::{Cut, Fan};
 pub use patch::{Patch, PatchError, twins_of};
 pub use replica::{ApplyError, NewVertex, Replica, SplitUndo, TOUCHED_AT_ONCE};

@@ -419,6 +419,9 @@ impl Replica {
         self.references[t as usize] = 0;
         self.collapsible.insert(t);
         self.put_vertex(t, vertex.position, vertex.color);
+        if let Some(dirty) = &mut self.dirty {
+            dirty.note_birth(t, Some(s.0));
+        }
         self.shift_vertex(s.0, vertex.s_move, vertex.s_color_move);
         if vertex.s_move != [0; 3] || vertex.s_color_move != [0; 3] || !self.moves.is_empty() {
             if self.moves.len() <= t as usize {
@@ -690,6 +693,9 @@ impl Replica {
             self.last_op[slot] = address;
             self.prev_op[slot] = NONE;
             self.put_vertex(slots[j], position, color);
+            if let Some(dirty) = &mut self.dirty {
+                dirty.note_birth(slots[j], None);
+            }
         }
         for (j, face) in patch.faces.iter().enumerate() {
             let f = spawned_face(slots, j as u32);

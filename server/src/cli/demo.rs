@@ -62,12 +62,12 @@ pub fn run(args: DemoArgs) -> anyhow::Result<()> {
     }
     let note = move |address: std::net::SocketAddr| {
         eprintln!(
-            "\nThe model is served at  http://{address}/models/{id}\n\
-             Take a first picture, from the project's folder in another terminal:\n\n    \
+            "\nLook at the model in a browser:  http://{address}/models/{id}\n\
+             Or take a picture, from the project's folder in another terminal:\n\n    \
              target/release/lodestream snapshot http://{address}/models/{id} --output view.png\n\n\
              Ctrl-C ends the server."
         );
     };
-    let serve = ServeArgs { repository: directory, listen: Some(args.listen), config: None };
+    let serve = ServeArgs { repository: directory, listen: Some(args.listen), config: None, viewer: None };
     serve::run_with(serve, note)
 }

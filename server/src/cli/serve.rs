@@ -8,7 +8,7 @@ use anyhow::Context as _;
 
 use crate::config::Config;
 use crate::http::models::RepositoryModels;
-use crate::http::{self, App, Drained};
+use crate::http::{self, App, Drained, Viewer};
 use crate::repository::Repository;
 use crate::runtime::{Shutdown, block_on};
 use crate::telemetry;
@@ -28,6 +28,9 @@ pub struct ServeArgs {
     /// Configuration; deploy/server.toml lists every key.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
+    /// Viewer for browsers, as `cargo xtask browser` makes it [default: the one that this program was built with].
+    #[arg(long, value_name = "DIR")]
+    pub viewer: Option<PathBuf>,
 }
 
 /// Serves until a signal comes.
@@ -48,8 +51,12 @@ pub(super) fn run_with(args: ServeArgs, note: impl FnOnce(SocketAddr)) -> anyhow
     telemetry::start(config.log.format, &config.log.filter)?;
     let repository = Repository::open(&args.repository)?;
     let models = RepositoryModels::new(repository, session);
+    let viewer = match &args.viewer {
+        Some(folder) => Viewer::from_folder(folder).with_context(|| format!("no viewer in '{}'", folder.display()))?,
+        None => Viewer::embedded(),
+    };
     let shutdown = Shutdown::default();
-    let app = App::new(Box::new(models), settings, shutdown.clone()).context("cannot start the compute threads")?;
+    let app = App::new(Box::new(models), viewer, settings, shutdown.clone()).context("cannot start the compute threads")?;
     let io_threads = config.runtime.io_threads as usize;
     block_on(io_threads, serve(app, config.http.listen, shutdown, note)).context("cannot start the server's threads")?
 }

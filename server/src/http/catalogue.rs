@@ -12,12 +12,19 @@ use super::App;
 use super::error::{HttpError, wants_json};
 use super::models::{ModelEntry, ModelStatus, OpenError};
 
+/// Looks of the plain pages.
+const STYLE: &str = "body{font:16px/1.5 system-ui,sans-serif;max-width:1100px;margin:2rem auto;padding:0 1rem}\
+    :root{color-scheme:light dark}h1{font-size:1.4rem}a{color:inherit}small{opacity:.7}pre{overflow-x:auto}\
+    ul{list-style:none;padding:0;display:grid;gap:1.2rem;grid-template-columns:repeat(auto-fill,minmax(220px,1fr))}\
+    li a{text-decoration:none}li a:hover b{text-decoration:underline}\
+    img,.none{display:block;width:100%;height:auto;aspect-ratio:4/3;object-fit:contain;background:#1e2126;border-radius:10px;margin-bottom:.4rem}";
+
 /// `GET /models`
 pub(super) async fn list(State(app): State<Arc<App>>) -> Json<Vec<ModelEntry>> {
     Json(app.models.list())
 }
 
-/// `GET /models/<id>`: JSON for those who ask for it, else a page.
+/// `GET /models/<id>`: JSON for those who ask for it, else the viewer, or a page that says that there is none.
 pub(super) async fn model(State(app): State<Arc<App>>, Path(id): Path<String>, headers: HeaderMap) -> Response {
     let Some(entry) = app.models.list().into_iter().find(|entry| entry.id == id) else {
         return HttpError::NoSuchModel(id).respond(&headers);
@@ -25,10 +32,24 @@ pub(super) async fn model(State(app): State<Arc<App>>, Path(id): Path<String>, h
     let mut response = if wants_json(&headers) {
         Json(entry).into_response()
     } else {
-        html(name(&entry), &model_body(&entry, &headers))
+        viewer(&app, &entry).await.unwrap_or_else(|| html(name(&entry), &model_body(&entry, &headers)))
     };
     response.headers_mut().insert(header::VARY, header::HeaderValue::from_static("accept"));
     response
+}
+
+/// The viewer's page for a model that can be streamed, if there is a viewer.
+async fn viewer(app: &Arc<App>, entry: &ModelEntry) -> Option<Response> {
+    if entry.status != ModelStatus::Ready || !app.viewer.is_there() {
+        return None;
+    }
+    let found = tokio::task::spawn_blocking({
+        let (app, id) = (Arc::clone(app), entry.id.clone());
+        move || app.models.thumbnail(&id)
+    });
+    // Without a picture the page is as good, only later.
+    let picture = found.await.ok().and_then(Result::ok).flatten();
+    app.viewer.page(entry, picture.as_deref())
 }
 
 /// `GET /models/<id>/thumbnail`: the picture as PNG. A model published anew under its id has another tag, so whoever has a copy
@@ -71,13 +92,14 @@ pub(super) async fn page(State(app): State<Arc<App>>) -> Response {
         let id = escape(&entry.id);
         let _ = writeln!(
             body,
-            "<li>{}<a href=\"/models/{id}\">{}</a>: {} triangles{}</li>",
-            picture(entry),
+            "<li><a href=\"models/{id}\">{}<b>{}</b></a><br><small>{} triangles, {}{}</small></li>",
+            picture(entry, "models/"),
             escape(name(entry)),
-            entry.triangles,
+            grouped(entry.triangles),
+            size(entry.bytes),
             match entry.status {
                 ModelStatus::Ready => "",
-                ModelStatus::Quarantined => ", not available: its file is damaged",
+                ModelStatus::Quarantined => "; not available: its file is damaged",
             }
         );
     }
@@ -85,51 +107,80 @@ pub(super) async fn page(State(app): State<Arc<App>>) -> Response {
     html("Models", &body)
 }
 
+/// `1234567` as `1,234,567`.
+fn grouped(number: u64) -> String {
+    let digits = number.to_string();
+    let mut text = String::new();
+    for (k, digit) in digits.chars().enumerate() {
+        if k > 0 && (digits.len() - k).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+/// Bytes as people read them.
+fn size(bytes: u64) -> String {
+    match bytes {
+        0..1_000 => format!("{bytes} bytes"),
+        1_000..1_000_000 => format!("{:.0} kB", bytes as f64 / 1e3),
+        1_000_000..1_000_000_000 => format!("{:.1} MB", bytes as f64 / 1e6),
+        _ => format!("{:.2} GB", bytes as f64 / 1e9),
+    }
+}
+
 fn model_body(entry: &ModelEntry, headers: &HeaderMap) -> String {
     let host = headers.get(header::HOST).and_then(|host| host.to_str().ok()).unwrap_or("localhost:8080");
     let (id, host) = (escape(&entry.id), escape(host));
     let mut body = format!(
-        "<h1>{}</h1>\n{}<p>{} triangles, {} vertices, {} bytes.</p>\n",
+        "<h1>{}</h1>\n{}<p>{} triangles, {} vertices, {}.</p>\n",
         escape(name(entry)),
-        picture(entry),
-        entry.triangles,
-        entry.vertices,
-        entry.bytes
+        picture(entry, ""),
+        grouped(entry.triangles),
+        grouped(entry.vertices),
+        size(entry.bytes)
     );
     match entry.status {
         ModelStatus::Ready => {
             let _ = write!(
                 body,
-                "<p>Take a picture of it:</p>\n\
+                "<p>This server was built without the viewer for browsers. <code>cargo xtask browser</code> builds it; a server \
+                 built afterwards has it, and <code>serve --viewer target/browser/bundle</code> takes it as it is.</p>\n\
+                 <p>Take a picture of the model:</p>\n\
                  <pre>lodestream snapshot http://{host}/models/{id} --output {id}.png</pre>\n"
             );
         }
         ModelStatus::Quarantined => body.push_str("<p>Its file is damaged, so it cannot be streamed.</p>\n"),
     }
-    body.push_str("<p><a href=\"/\">All models</a></p>\n");
+    body.push_str("<p><a href=\"../\">All models</a></p>\n");
     body
 }
 
-/// The model's picture, if it has one.
-fn picture(entry: &ModelEntry) -> String {
-    let Some(address) = &entry.thumbnail else { return String::new() };
-    format!("<p><img src=\"{}\" alt=\"\" loading=\"lazy\"></p>\n", escape(address))
+/// The model's picture, if it has one, seen from a page below whose address `models` leads to those of models.
+fn picture(entry: &ModelEntry, models: &str) -> String {
+    if entry.thumbnail.is_none() {
+        return "<span class=\"none\"></span>".into();
+    }
+    format!("<img src=\"{models}{}/thumbnail\" alt=\"\" width=\"320\" height=\"240\" loading=\"lazy\">", escape(&entry.id))
 }
 
-fn name(entry: &ModelEntry) -> &str {
+pub(super) fn name(entry: &ModelEntry) -> &str {
     if entry.title.is_empty() { &entry.id } else { &entry.title }
 }
 
 fn html(title: &str, body: &str) -> Response {
     let page = format!(
         "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n\
-         <meta name=\"viewport\" content=\"width=device-width\">\n<title>{} - Lodestream</title>\n{body}</html>\n",
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<link rel=\"icon\" href=\"data:,\">\n\
+         <title>{} - Lodestream</title>\n<style>{STYLE}</style>\n{body}</html>\n",
         escape(title)
     );
-    ([(header::CONTENT_SECURITY_POLICY, "default-src 'none'; img-src 'self'")], Html(page)).into_response()
+    let policy = "default-src 'none'; img-src 'self' data:; style-src 'unsafe-inline'";
+    ([(header::CONTENT_SECURITY_POLICY, policy)], Html(page)).into_response()
 }
 
-fn escape(text: &str) -> String {
+pub(super) fn escape(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for c in text.chars() {
         match c {

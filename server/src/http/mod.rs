@@ -10,6 +10,7 @@ pub mod models;
 mod serve;
 #[cfg(test)]
 mod tests;
+pub mod viewer;
 mod ws;
 
 use std::num::NonZeroUsize;
@@ -21,6 +22,7 @@ use axum::routing::get;
 
 pub use models::{ModelEntry, ModelStatus, Models, OpenError};
 pub use serve::{Drained, bind, serve};
+pub use viewer::Viewer;
 
 use crate::runtime::{Admission, DriverSettings, Memory, Metrics, PageReader, Pool, Shutdown, Workers};
 
@@ -62,21 +64,27 @@ pub struct App {
     admission: Admission,
     shutdown: Shutdown,
     settings: Settings,
+    viewer: Viewer,
 }
 
 impl App {
-    /// Starts the threads that compute and read.
+    /// Starts the threads that compute and read. Browsers get `viewer`.
     ///
     /// # Errors
     /// The operating system's, when it gives no threads.
-    pub fn new(models: Box<dyn Models>, settings: Settings, shutdown: Shutdown) -> std::io::Result<Arc<Self>> {
+    pub fn new(
+        models: Box<dyn Models>,
+        viewer: Viewer,
+        settings: Settings,
+        shutdown: Shutdown,
+    ) -> std::io::Result<Arc<Self>> {
         // A session hands in one slice at a time, and a closing one may overlap with its successor.
         let pool = Pool::new(settings.compute_threads, 2 * settings.max_sessions as usize)?;
         let reader = PageReader::new(settings.reader_threads)?;
         let memory = Memory::new(settings.max_session_bytes);
         let workers = Workers { pool, reader, metrics: Arc::new(Metrics::new()), memory };
         let admission = Admission::new(settings.max_sessions);
-        Ok(Arc::new(Self { models, workers, admission, shutdown, settings }))
+        Ok(Arc::new(Self { models, workers, admission, shutdown, settings, viewer }))
     }
 }
 
@@ -87,6 +95,7 @@ fn router(app: Arc<App>) -> Router {
         .route("/models/{id}", get(catalogue::model))
         .route("/models/{id}/stream", get(ws::stream))
         .route("/models/{id}/thumbnail", get(catalogue::thumbnail))
+        .route("/viewer/{hash}/{file}", get(viewer::file))
         .route("/metrics", get(metrics::page))
         .route("/healthz", get(health::alive))
         .route("/readyz", get(health::ready))

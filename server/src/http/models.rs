@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use glam::DVec3;
+use lodestream_protocol::message::ModelInfo;
 use serde::Serialize;
 
 use crate::pack::{PackError, PackedModel};
@@ -13,7 +15,7 @@ use crate::session::{Session, SessionConfig};
 const FIRST_PAGES: u32 = 8;
 
 /// One line of the list of models.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ModelEntry {
     /// Name in addresses.
     pub id: String,
@@ -29,6 +31,32 @@ pub struct ModelEntry {
     pub status: ModelStatus,
     /// Where its picture is, if it has one.
     pub thumbnail: Option<String>,
+    /// Where it lies, unless its file is damaged.
+    pub shape: Option<ModelShape>,
+}
+
+/// What a client may know of a model before it streams it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ModelShape {
+    /// Least corner of its box, in model units.
+    pub min: [f64; 3],
+    /// The corner across.
+    pub max: [f64; 3],
+    /// Least triangle limit that a view may ask for.
+    pub smallest_limit: u32,
+}
+
+impl ModelShape {
+    fn of(info: &ModelInfo) -> Self {
+        let corner = |point| info.lattice.position(point);
+        Self { min: corner(info.box_min), max: corner(info.box_max), smallest_limit: info.smallest_limit }
+    }
+
+    /// Centre and radius of the ball around the box.
+    pub fn ball(&self) -> ([f64; 3], f64) {
+        let (min, max) = (DVec3::from_array(self.min), DVec3::from_array(self.max));
+        (((min + max) / 2.0).to_array(), (max - min).length() / 2.0)
+    }
 }
 
 /// Whether a model can be streamed.
@@ -120,6 +148,7 @@ impl Models for RepositoryModels {
                     bytes: model.file_bytes(),
                     status: ModelStatus::Ready,
                     thumbnail: model.has_thumbnail().then(|| format!("/models/{}/thumbnail", entry.id)),
+                    shape: Some(ModelShape::of(model.info())),
                 },
                 ModelState::Damaged(_) => ModelEntry {
                     id,
@@ -129,6 +158,7 @@ impl Models for RepositoryModels {
                     bytes: std::fs::metadata(&entry.path).map_or(0, |file| file.len()),
                     status: ModelStatus::Quarantined,
                     thumbnail: None,
+                    shape: None,
                 },
             }
         };

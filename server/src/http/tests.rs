@@ -80,6 +80,7 @@ impl Models for TestModels {
             bytes: 1000,
             status,
             thumbnail: (id == "echo").then(|| "/models/echo/thumbnail".into()),
+            shape: None,
         };
         vec![entry("damaged", "", ModelStatus::Quarantined), entry("echo", "A <b>title", ModelStatus::Ready)]
     }
@@ -131,7 +132,7 @@ impl Server {
             driver: DriverSettings { hello_timeout: PATIENCE, inbound_frames: 8, outbound_frames: 2 },
         };
         change(&mut settings);
-        let app = App::new(Box::new(TestModels), settings, Shutdown::default()).unwrap();
+        let app = App::new(Box::new(TestModels), Viewer::default(), settings, Shutdown::default()).unwrap();
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let serving = tokio::spawn(serve(listener, Arc::clone(&app)));
@@ -277,9 +278,11 @@ async fn models_are_listed_as_json_and_as_a_page() {
     assert_eq!(status, 200);
     let command = format!("lodestream snapshot http://{}/models/echo --output", server.address);
     assert!(answer.contains(&command) && answer.contains("a &lt;b&gt;title"), "{answer}");
+    assert!(answer.contains("built without the viewer") && answer.contains("cargo xtask browser"), "{answer}");
 
     let (status, answer) = server.get("/", "").await;
-    assert!(status == 200 && answer.contains("href=\"/models/echo\"") && answer.contains("damaged"), "{answer}");
+    assert!(status == 200 && answer.contains("href=\"models/echo\"") && answer.contains("damaged"), "{answer}");
+    assert!(answer.contains("src=\"models/echo/thumbnail\"") && answer.contains("20 triangles, 1 kb"), "{answer}");
 }
 
 #[tokio::test]
@@ -290,7 +293,11 @@ async fn what_is_not_there_is_said_clearly() {
     let (status, answer) = server.get("/models/none", "").await;
     assert!(status == 404 && answer.contains("text/plain") && answer.ends_with("no model `none`\n"), "{answer}");
     assert_eq!(server.get("/nowhere", "").await.0, 404);
+    // A page asks like this why its socket was refused.
     assert_eq!(server.get("/models/echo/stream", "").await.0, 426);
+    assert_eq!(server.get("/models/none/stream", "").await.0, 404);
+    assert_eq!(server.get("/models/damaged/stream", "").await.0, 500);
+    assert_eq!(server.get("/viewer/0123/main.js", "").await.0, 404);
     assert_eq!(server.connect_from(None, "none").await.unwrap_err().0, 404);
     let (status, text) = server.connect_from(None, "damaged").await.unwrap_err();
     assert_eq!((status, text.as_str()), (500, "the model `damaged` cannot be used\n"));

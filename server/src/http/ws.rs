@@ -21,7 +21,7 @@ use tracing::Instrument;
 
 use super::error::HttpError;
 use super::serve::Peer;
-use super::{App, OpenError, Settings};
+use super::{App, ModelStatus, OpenError, Settings};
 use crate::runtime::{Admitted, Core, SessionEnd, SessionReport, drive};
 use crate::session::SessionError;
 
@@ -62,7 +62,6 @@ async fn admit(
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Result<(WebSocketUpgrade, Box<dyn Core>, Admitted), HttpError> {
     check_origin(headers, &app.settings.allowed_origins)?;
-    let upgrade = upgrade.map_err(|rejection| HttpError::NoWebSocket(rejection.body_text()))?;
     if app.shutdown.is_triggered() {
         return Err(HttpError::ShuttingDown);
     }
@@ -71,6 +70,15 @@ async fn admit(
         return Err(HttpError::NoMemory);
     }
     let admitted = app.admission.admit().inspect_err(|full| tracing::warn!(model = id, "{full}"))?;
+    // Pages are not told why their socket was refused, so they ask again without one: what is to be said about the server
+    // and the model comes first.
+    let upgrade = upgrade.map_err(|rejection| {
+        match app.models.list().iter().find(|entry| entry.id == id).map(|entry| entry.status) {
+            Some(ModelStatus::Ready) => HttpError::NoWebSocket(rejection.body_text()),
+            Some(ModelStatus::Quarantined) => HttpError::ModelUnusable(id.into()),
+            None => HttpError::NoSuchModel(id.into()),
+        }
+    })?;
     let opened = tokio::task::spawn_blocking({
         let (app, id) = (Arc::clone(app), id.to_owned());
         move || app.models.open(&id)

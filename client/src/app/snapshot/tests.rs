@@ -77,6 +77,7 @@ fn options(target: Target) -> SnapshotOptions {
         pose: None,
         fov_y_rad: 0.8,
         detail: Detail::default(),
+        look: Look::default(),
         shape: LinkShape::default(),
         until: Until::Settled,
         output: None,

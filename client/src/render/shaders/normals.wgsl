@@ -50,19 +50,6 @@ fn link(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     atomicStore(&links[next + 2u], atomicExchange(&links[slots.z], first + 3u));
 }
 
-// Octahedral, 16 bits a component; never 0, which is free because -z has four codes.
-fn packed_normal(sum: vec3<f32>) -> u32 {
-    let n = direction(sum);
-    if dot(n, n) == 0.0 {
-        return 0u;
-    }
-    let flat_part = n.xy / (abs(n.x) + abs(n.y) + abs(n.z));
-    let signs = select(vec2(-1.0), vec2(1.0), flat_part >= vec2(0.0));
-    let e = select(flat_part, (1.0 - abs(flat_part.yx)) * signs, n.z < 0.0);
-    let code = pack2x16unorm(e * 0.5 + 0.5);
-    return select(code, 0xffffffffu, code == 0u);
-}
-
 fn weighted(normal: vec4<f32>) -> vec3<f32> {
     return normal.xyz * select(-normal.w * UNRELIABLE_WEIGHT, normal.w, normal.w > 0.0);
 }

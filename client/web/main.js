@@ -1,0 +1,251 @@
+// Boots the viewer: opens the socket at once, loads the module meanwhile, then runs the loop of images.
+
+import { Socket } from './sockets.js';
+import { listen } from './input.js';
+import { Panel } from './panel.js';
+
+const [MAIN, PROBE] = [0, 1];
+const element = (id) => document.getElementById(id);
+const canvas = element('canvas');
+const data = document.body.dataset;
+
+const isTouch = matchMedia('(pointer: coarse)').matches;
+const isSmall = (isTouch && Math.min(screen.width, screen.height) < 820) || (navigator.deviceMemory ?? 8) <= 2;
+// The server wrote what the first message is for each automatic limit: large, then small.
+const [triangles, hello] = data.hello.split(',')[isSmall ? 1 : 0].split(':');
+const memoryMib = isSmall ? 256 : 1024;
+const ratio = () => Math.min(devicePixelRatio || 1, isSmall ? 1.5 : 2);
+
+function setState(name, words) {
+  const state = element('state');
+  if (state.dataset.state !== name) state.dataset.state = name;
+  const text = state.querySelector('span');
+  if (text.textContent !== words) text.textContent = words;
+  if (name === 'refining') element('progress').style.width = `${words.match(/\d+/)?.[0] ?? 0}%`;
+}
+
+let noticeTimer = 0;
+function notice(text) {
+  element('notice').textContent = text;
+  element('notice').hidden = false;
+  clearTimeout(noticeTimer);
+  noticeTimer = setTimeout(() => { element('notice').hidden = true; }, 5000);
+}
+
+function save(blob, name) {
+  const link = Object.assign(document.createElement('a'), { href: URL.createObjectURL(blob), download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+}
+
+// Settings of a link that change the first message make the early socket useless.
+const early = /[#&](triangles|rate|memory)=/.test(location.hash) ? null : new Socket(hello);
+
+// Whether drawing is done without a graphics card.
+let isSlow = false;
+
+async function load() {
+  const adapter = await navigator.gpu?.requestAdapter().catch(() => null);
+  isSlow = !adapter || Boolean(adapter.info?.isFallbackAdapter ?? adapter.isFallbackAdapter) || /swiftshader|llvmpipe/i.test(adapter.info?.architecture ?? '');
+  const name = adapter ? 'webgpu' : 'webgl';
+  let module;
+  try {
+    module = await import(`./${name}.js`);
+  } catch {
+    throw adapter
+      ? 'The viewer could not be loaded.'
+      : 'This browser has no WebGPU, and this server has no viewer without it.';
+  }
+  await module.default({ module_or_path: new URL(`./${name}.wasm`, import.meta.url) });
+  return module;
+}
+
+function fit() {
+  const width = Math.max(1, Math.round(canvas.clientWidth * ratio()));
+  const height = Math.max(1, Math.round(canvas.clientHeight * ratio()));
+  if (canvas.width === width && canvas.height === height) return false;
+  [canvas.width, canvas.height] = [width, height];
+  return true;
+}
+
+function run(module, screen) {
+  const now = () => performance.now();
+  const hint = Float64Array.from(data.hint ? data.hint.split(',') : [], Number);
+  const page = new module.Page(now(), canvas.width, canvas.height, ratio(), Number(triangles), memoryMib, !isSmall && !isSlow, hint, location.hash, Math.random() * 2 ** 32);
+  const device = screen.describe();
+  page.attach(screen);
+  const sockets = [null, null];
+  let isOver = false;
+  let raf = 0;
+  let timer = 0;
+  let dirtySettings = true;
+  let lastLink = location.hash.slice(1);
+  let linkTimer = 0;
+
+  const wake = () => { if (!raf && !isOver) raf = requestAnimationFrame(step); };
+  const fail = (error) => {
+    isOver = true;
+    console.error(error);
+    setState('failed', `Stopped: ${typeof error === 'string' ? error : 'the viewer failed, reload the page'}`);
+    sockets.forEach((socket) => socket?.close());
+  };
+  const guarded = (act) => (...values) => {
+    if (isOver) return undefined;
+    try { return act(...values); } catch (error) { return fail(error); }
+  };
+  const send = guarded((name, value) => {
+    if (!page.command(now(), name, value)) notice(`'${name}' cannot be '${value}'`);
+    dirtySettings = true;
+    wake();
+  });
+
+  const connect = (which, socket) => {
+    sockets[which] = socket;
+    socket.listen(guarded((what, value) => {
+      if (sockets[which] !== socket) return;
+      if (what === 'open') page.opened(now(), which);
+      else if (what === 'frame') page.frame(now(), which, value);
+      else {
+        sockets[which] = null;
+        page.closed(now(), which, value[0], value[2], value[1]);
+      }
+      wake();
+    }));
+  };
+  const disconnect = (which) => {
+    sockets[which]?.close();
+    sockets[which] = null;
+  };
+  const pump = () => {
+    for (let request = page.request(); request >= 0; request = page.request()) {
+      disconnect(request % 2);
+      if (request < 2) connect(request, new Socket());
+    }
+    for (let frame = page.transmit(now()); frame; frame = page.transmit(now())) {
+      sockets[frame.socket]?.send(frame.bytes());
+    }
+  };
+
+  const panel = new Panel(element('panel'), send, { play: () => file.click() }, isSmall);
+  const file = Object.assign(document.createElement('input'), { type: 'file', accept: '.jsonl,.json,.txt' });
+  file.onchange = guarded(async () => {
+    page.play(now(), new Uint8Array(await file.files[0].arrayBuffer()));
+    file.value = '';
+    dirtySettings = true;
+    wake();
+  });
+
+  const drawMarks = () => {
+    const numbers = page.marks();
+    const root = element('marks');
+    const marks = [];
+    for (let k = 0; k < numbers.length; k += 6) {
+      const [x, y, exact, ...point] = numbers.slice(k, k + 6);
+      marks.push({ x: x / ratio(), y: y / ratio(), exact: exact === 1, point });
+    }
+    if (!marks.length && root.childElementCount <= 1 && root.firstChild) return marks;
+    const place = (node, x, y) => { node.style.left = `${x}px`; node.style.top = `${y}px`; };
+    root.replaceChildren(Object.assign(document.createElement('div'), { className: 'aim' }));
+    for (const mark of marks.filter(({ x }) => !Number.isNaN(x))) {
+      const dot = Object.assign(document.createElement('div'), { className: mark.exact ? 'dot exact' : 'dot' });
+      place(dot, mark.x, mark.y);
+      root.append(dot);
+    }
+    const length = page.distance();
+    if (!Number.isNaN(length) && marks.every(({ x }) => !Number.isNaN(x))) {
+      const label = Object.assign(document.createElement('div'), { className: 'length', textContent: `${marks.every((mark) => mark.exact) ? '' : '≈ '}${Number(length.toPrecision(6))}` });
+      place(label, (marks[0].x + marks[1].x) / 2, (marks[0].y + marks[1].y) / 2);
+      root.append(label);
+    }
+    return marks;
+  };
+
+  const events = () => {
+    for (let event = page.event(); event; event = page.event()) {
+      if (event === 'notice') notice(page.notice());
+      if (event === 'recorded') save(new Blob([page.recording()], { type: 'application/jsonl' }), `${data.id}-path.jsonl`);
+      dirtySettings = true;
+    }
+  };
+
+  let shownAt = 0;
+  const show = (time) => {
+    const [name, words] = page.state().split('\n');
+    setState(name, words);
+    if (['refining', 'settled'].includes(name)) element('poster')?.classList.add('gone');
+    if (dirtySettings) {
+      dirtySettings = false;
+      panel.show(new Map(page.settings().split('\n').map((line) => { const at = line.indexOf('='); return [line.slice(0, at), line.slice(at + 1)]; })));
+    }
+    const marks = drawMarks();
+    if (time - shownAt > 250 || name === 'settled') {
+      shownAt = time;
+      panel.measure(page.figures(time));
+      panel.distance(page.distance(), marks);
+    }
+    clearTimeout(linkTimer);
+    linkTimer = setTimeout(() => {
+      const link = page.link();
+      if (link && link !== lastLink) {
+        lastLink = link;
+        history.replaceState(null, '', `#${link}`);
+      }
+    }, 300);
+  };
+
+  const step = guarded(() => {
+    raf = 0;
+    clearTimeout(timer);
+    const time = now();
+    if (fit()) page.resize(canvas.width, canvas.height, ratio());
+    pump();
+    const next = page.tick(time);
+    pump();
+    events();
+    show(time);
+    if (next === 0) wake();
+    // Figures fall back to rest without anything else happening.
+    else timer = setTimeout(wake, next > 0 ? Math.min(next, 1000) : 1000);
+  });
+
+  if (early && page.adopt(now(), early.hello)) connect(MAIN, early);
+  else early?.close();
+
+  listen(canvas, new Proxy(page, { get: (target, name) => guarded(target[name].bind(target)) }), ratio, () => { dirtySettings = true; wake(); });
+  new ResizeObserver(wake).observe(canvas);
+  document.addEventListener('visibilitychange', wake);
+  window.addEventListener('hashchange', () => { if (location.hash.slice(1) !== lastLink) send('open', location.hash); });
+  for (const button of document.querySelectorAll('[data-do]')) button.onclick = () => send(button.dataset.do, '');
+  for (const button of document.querySelectorAll('[data-switch]')) button.onclick = () => send(button.dataset.switch, button.ariaPressed === 'true' ? 'off' : 'on');
+  for (const button of document.querySelectorAll('[data-tool]')) button.onclick = () => send('tool', button.ariaPressed === 'true' ? 'look' : button.dataset.tool);
+  element('shot').onclick = guarded(() => {
+    page.redraw(now());
+    canvas.toBlob((blob) => save(blob, `${data.id}.png`), 'image/png');
+  });
+  element('share').onclick = guarded(async () => {
+    history.replaceState(null, '', `#${(lastLink = page.link())}`);
+    await navigator.clipboard?.writeText(location.href).catch(() => {});
+    notice('The address in the address bar is a link to this view; it is copied.');
+  });
+  // For tests and for the curious.
+  window.lodestream = { figures: () => Array.from(page.figures(now())), marks: () => Array.from(page.marks()), distance: () => page.distance(), settings: () => page.settings(), link: () => page.link(), device };
+  wake();
+}
+
+const toggle = element('toggle');
+const showPanel = (isOpen) => {
+  element('panel').hidden = !isOpen;
+  toggle.ariaExpanded = String(isOpen);
+};
+toggle.onclick = () => showPanel(element('panel').hidden);
+showPanel(!isSmall && innerWidth > 640);
+
+try {
+  const module = await load();
+  fit();
+  run(module, await module.Screen.open(canvas));
+} catch (error) {
+  early?.close();
+  console.error(error);
+  setState('failed', typeof error === 'string' ? error : 'The viewer could not be started.');
+}

@@ -1,0 +1,135 @@
+// The controls beside the picture. Every control is a name and a value that the viewer knows; what it answers is shown.
+
+const NUMBERS = [
+  // name, label, least, most, what the middle reads, unit
+  ['triangles', 'Triangles', 1e3, 1e7, (v) => count(v)],
+  ['tolerance', 'Error', 0.1, 50, (v) => `${round(v)} px`],
+  ['rate', 'Bandwidth', 1e4, 1e8, (v) => `${bytes(v)}/s`],
+  ['fps', 'Frame rate', 5, 120, (v) => `${Math.round(v)} fps`],
+  ['memory', 'Memory', 32, 8192, (v) => `${Math.round(v)} MiB`],
+];
+const VIEWS = ['front', 'back', 'left', 'right', 'top', 'bottom', 'iso', 'home'];
+const CHECKS = [['smooth', 'Smooth'], ['colors', 'Colours'], ['wireframe', 'Wireframe'], ['levels', 'Detail levels'], ['backs', 'Mark backs'], ['occlusion', 'Crevices'], ['morph', 'Morphing']];
+const FIGURES = ['Triangles', 'Limit', 'Whole model', 'Error', 'Receiving', 'Received', 'Round trip', 'Images', 'From cache', 'Memory'];
+
+export const count = (n) => (n >= 1e6 ? `${round(n / 1e6)} M` : n >= 1e4 ? `${Math.round(n / 1e3)} k` : String(Math.round(n)));
+const round = (x) => String(Number(x.toPrecision(3)));
+const bytes = (n) => (n >= 1e6 ? `${round(n / 1e6)} MB` : n >= 1e3 ? `${round(n / 1e3)} kB` : `${Math.round(n)} B`);
+
+function make(tag, properties = {}, ...children) {
+  const { dataset, ...rest } = properties;
+  const element = Object.assign(document.createElement(tag), rest);
+  Object.assign(element.dataset, dataset);
+  element.append(...children);
+  return element;
+}
+
+const group = (title, isOpen, ...children) => make('details', { open: isOpen }, make('summary', {}, title), ...children);
+
+// `send(name, value)` gives a command to the viewer.
+export class Panel {
+  constructor(root, send, actions, isSmall) {
+    this.send = send;
+    this.numbers = new Map();
+    this.checks = new Map();
+    const row = NUMBERS.map((entry) => this.number(...entry));
+    const views = VIEWS.map((view) => make('button', { type: 'button', textContent: view[0].toUpperCase() + view.slice(1), dataset: { view }, onclick: () => send('view', view) }));
+    const checks = CHECKS.map(([name, label]) => this.check(name, label));
+    this.background = make('input', { type: 'color', value: '#1e2126', ariaLabel: 'Background', oninput: () => send('background', this.background.value.slice(1)) });
+    this.up = make('select', { ariaLabel: 'Axis that is up', onchange: () => send('up', this.up.value) }, make('option', { value: 'y' }, 'Y up'), make('option', { value: 'z' }, 'Z up'));
+    this.light = ['x', 'y'].map((axis) => make('input', { type: 'range', min: -1.5, max: 1.5, step: 0.05, value: axis === 'x' ? 0.3 : 0.4, ariaLabel: `Light ${axis === 'x' ? 'from left to right' : 'from below to above'}`, oninput: () => send('light', `${this.light[0].value},${this.light[1].value},1`) }));
+    this.axis = make('select', { ariaLabel: 'Section axis', id: 'section-axis', onchange: () => this.section() }, ...['off', 'x', 'y', 'z'].map((value) => make('option', { value }, value === 'off' ? 'Off' : value.toUpperCase())));
+    this.share = make('input', { type: 'range', id: 'section-share', min: 0, max: 1, step: 0.001, value: 0.5, ariaLabel: 'Section position', oninput: () => this.section() });
+    this.flip = make('input', { type: 'checkbox', id: 'section-flip', onchange: () => this.section() });
+    this.length = make('p', { className: 'big', id: 'distance' });
+    this.points = make('p', { id: 'points' });
+    this.record = make('button', { type: 'button', id: 'record', onclick: () => send('record', this.record.ariaPressed === 'true' ? 'off' : 'on') }, 'Record');
+    this.play = make('button', { type: 'button', id: 'play', onclick: () => (this.play.ariaPressed === 'true' ? send('play', 'off') : actions.play()) }, 'Play…');
+    this.figures = FIGURES.map((name) => make('dd', { id: `figure-${name.toLowerCase().replaceAll(' ', '-')}` }));
+    root.append(
+      group('Detail', true, ...row),
+      group('Shading', !isSmall, make('div', { className: 'checks' }, ...checks),
+        make('div', { className: 'row' }, make('span', {}, 'Light'), make('div', {}, ...this.light), make('button', { type: 'button', onclick: () => { [this.light[0].value, this.light[1].value] = [0.3, 0.4]; send('light', 'auto'); } }, 'Reset')),
+        make('div', { className: 'row' }, make('span', {}, 'Background'), this.background, make('button', { type: 'button', onclick: () => { this.background.value = '#1e2126'; send('background', 'auto'); } }, 'Reset'))),
+      group('Views', !isSmall, make('div', { className: 'buttons' }, ...views, this.up)),
+      group('Section', false, make('div', { className: 'row' }, make('label', { htmlFor: 'section-axis' }, 'Cut along'), this.axis, make('label', {}, this.flip, ' Flip')),
+        make('div', { className: 'row' }, make('label', { htmlFor: 'section-share' }, 'Position'), this.share, make('output'))),
+      group('Distance', false, this.length, this.points, make('div', { className: 'buttons' }, make('button', { type: 'button', id: 'clear', onclick: () => send('clear', '') }, 'Clear')),
+        make('p', {}, 'Choose Measure, then two points. With keys: M, then Enter marks what is in the middle.')),
+      group('Recorder', false, make('div', { className: 'buttons' }, this.record, this.play), make('p', {}, 'A recording can be played here or by lodestream load --path.')),
+      group('Figures', !isSmall, make('dl', {}, ...FIGURES.flatMap((name, k) => [make('dt', {}, name), this.figures[k]]))),
+      group('Keys', false, make('p', {}, 'Drag turns, right drag or two fingers move, wheel or pinch zooms, double click goes there.'),
+        make('dl', {}, ...[['Turn, move', '← → ↑ ↓, Shift'], ['Zoom', '+ −'], ['Fly', 'W A S D Q E'], ['Views', '1 – 7, H'], ['Whole model', 'F'], ['Parallel', 'O'], ['Measure', 'M, Enter'], ['Fly mode', 'G'], ['Controls', 'C']].flatMap(([what, keys]) => [make('dt', {}, what), make('dd', {}, make('kbd', {}, keys))]))),
+    );
+  }
+
+  // A slider on a logarithmic scale that may be left to the program.
+  number(name, label, least, most, words) {
+    const output = make('output', { htmlFor: name });
+    const slider = make('input', { type: 'range', id: name, min: 0, max: 1, step: 0.005 });
+    const auto = make('input', { type: 'checkbox', id: `${name}-auto`, checked: true });
+    const value = () => least * (most / least) ** Number(slider.value);
+    const send = () => this.send(name, auto.checked ? 'auto' : String(name === 'tolerance' ? Number(value().toPrecision(2)) : Math.round(value())));
+    slider.oninput = () => { auto.checked = false; send(); };
+    auto.onchange = send;
+    this.numbers.set(name, (text) => {
+      auto.checked = text === 'auto';
+      output.value = text === 'auto' ? '' : words(Number(text));
+      slider.classList.toggle('auto', text === 'auto');
+      const shown = text === 'auto' ? Math.sqrt(least * most) : Number(text);
+      if (document.activeElement !== slider) slider.value = Math.log(Math.max(shown, least) / least) / Math.log(most / least);
+      slider.ariaValueText = text === 'auto' ? 'automatic' : output.value;
+    });
+    return make('div', { className: 'row number' }, make('label', { htmlFor: name }, label), output, make('label', { className: 'auto' }, auto, 'auto'), slider);
+  }
+
+  check(name, label) {
+    const box = make('input', { type: 'checkbox', id: `check-${name}` });
+    box.onchange = () => (name === 'smooth' ? this.send('shading', box.checked ? 'smooth' : 'flat') : this.send(name, box.checked ? 'on' : 'off'));
+    this.checks.set(name, box);
+    return make('label', {}, box, label);
+  }
+
+  section() {
+    this.send('section', this.axis.value === 'off' ? 'off' : `${this.axis.value},${this.share.value}${this.flip.checked ? ',flip' : ''}`);
+  }
+
+  // What the viewer says its settings are.
+  show(settings) {
+    for (const [name, set] of this.numbers) set(settings.get(name));
+    for (const [name, box] of this.checks) {
+      const value = name === 'smooth' ? settings.get('shading') === 'smooth' : settings.get(name);
+      box.checked = value === true || value === 'on' || (value === 'auto' && (name === 'morph' || (name === 'occlusion' ? settings.get('occluded') : settings.get('hascolors')) === 'on'));
+    }
+    this.checks.get('colors').disabled = settings.get('hascolors') !== 'on';
+    this.up.value = settings.get('up');
+    const [axis, share, flip] = settings.get('section').split(',');
+    this.axis.value = axis;
+    this.share.disabled = this.flip.disabled = axis === 'off';
+    if (share && document.activeElement !== this.share) this.share.value = share;
+    this.flip.checked = flip === 'flip';
+    this.record.ariaPressed = String(settings.get('record') === 'on');
+    this.record.textContent = settings.get('record') === 'on' ? 'Stop and save' : 'Record';
+    this.play.ariaPressed = String(settings.get('play') === 'on');
+    this.play.textContent = settings.get('play') === 'on' ? 'Stop' : 'Play…';
+    for (const button of document.querySelectorAll('[data-switch]')) button.ariaPressed = String(settings.get(button.dataset.switch) === 'on');
+    for (const button of document.querySelectorAll('[data-tool]')) button.ariaPressed = String(settings.get('tool') === button.dataset.tool);
+    document.body.dataset.tool = settings.get('tool');
+  }
+
+  // The numbers of `Page.figures`.
+  measure([triangles, limit, model, error, rate, received, trip, images, hits, memory]) {
+    const known = (x, words) => (Number.isNaN(x) ? '–' : words(x));
+    const texts = [count(triangles), count(limit), count(model), known(error, (x) => `${round(x)} px`), `${bytes(rate)}/s`, bytes(received),
+      known(trip, (x) => `${Math.round(x)} ms`), images > 0 ? `${Math.round(images)} /s` : 'at rest', known(hits, (x) => `${Math.round(100 * x)} %`), bytes(memory)];
+    texts.forEach((text, k) => { if (this.figures[k].textContent !== text) this.figures[k].textContent = text; });
+  }
+
+  distance(length, marks) {
+    const isExact = marks.every((mark) => mark.exact);
+    this.length.textContent = Number.isNaN(length) ? '' : `${isExact ? '' : '≈ '}${Number(length.toPrecision(7))}`;
+    const point = (mark) => `${mark.exact ? '' : '≈ '}${mark.point.map((x) => Number(x.toPrecision(7))).join(', ')}`;
+    this.points.textContent = marks.map(point).join(' — ');
+    this.length.dataset.exact = String(isExact);
+  }
+}

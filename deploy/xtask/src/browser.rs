@@ -1,0 +1,26 @@
+//! The viewer for browsers: its module, its glue and its page in one folder.
+
+use anyhow::{Context, Result, bail};
+
+use super::{root, run, target_dir, wasm_cargo, wasm_toolchain};
+
+/// Builds the modules and bundles them with the page. Servers that are built afterwards embed the folder.
+pub(super) fn build() -> Result<()> {
+    if !wasm_toolchain() {
+        bail!("there is no toolchain for wasm32: `rustup target add wasm32-unknown-unknown`, or `cargo xtask setup` on Debian");
+    }
+    let module = module("web")?;
+    let (web, out) = (root().join("client/web"), target_dir().join("browser/bundle"));
+    let text = |path: &std::path::Path| path.to_str().map(str::to_owned).context("the path of the project is not UTF-8");
+    let (web, out) = (text(&web)?, text(&out)?);
+    let webgpu = format!("webgpu={module}");
+    run("cargo", &["run", "--quiet", "-p", "lodestream-bundler", "--", &web, &out, &webgpu], &[])
+}
+
+/// Builds the client with these features and returns where the module is.
+fn module(features: &str) -> Result<String> {
+    let what = ["-p", "lodestream-client", "--lib", "--crate-type", "cdylib", "--profile", "browser"];
+    wasm_cargo("rustc", &[&what[..], &["--no-default-features", "--features", features]].concat())?;
+    let path = target_dir().join("browser/wasm32-unknown-unknown/browser/lodestream_client.wasm");
+    Ok(path.to_str().context("the path of the project is not UTF-8")?.to_owned())
+}
