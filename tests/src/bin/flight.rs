@@ -4,6 +4,7 @@
 //! limit is exceeded, and how long a client whose view has not settled hears nothing. One JSON object per link on standard
 //! output, progress on standard error; exit code 1 for a mismatch, for memory that grows, or for a silence that the link does not explain.
 
+use std::collections::{BTreeSet, VecDeque};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -11,8 +12,10 @@ use std::time::{Duration, Instant};
 use anyhow::ensure;
 use glam::DVec3;
 use lodestream_client::core::ClientConfig;
+use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::View;
 use lodestream_server::ingest::sample;
+use lodestream_server::session::ops_for_view;
 use lodestream_tests::model::TestModel;
 use lodestream_tests::sim::{LinkShape, Pair, PairConfig};
 use lodestream_tests::source::Source;
@@ -72,25 +75,18 @@ fn fly(test: &TestModel, name: &str, link: (f64, Duration, u32), minutes: u32) -
     let mut camera = Camera::new(test, limit);
     let views = minutes * 600;
     let started = Instant::now();
-    let (mut silence, mut heard_at, mut heard) = (Duration::ZERO, pair.now, 0);
+    let mut ear = Ear::new(shape);
     let (mut session, mut both) = ([0u64; PARTS], [0usize; PARTS]);
     for view in 0..views {
-        let was_settled = pair.client.settled().is_some();
-        pair.look(camera.next_view());
-        if was_settled && pair.client.settled().is_none() {
-            // Nothing was due before.
-            heard_at = pair.now;
-        }
+        let next = camera.next_view();
+        pair.look(next.clone());
+        ear.expects(&pair, next);
         let end = pair.now + VIEW_INTERVAL;
         while pair.now < end {
             if !pair.step(end.since(pair.now)) {
                 pair.now = end;
             }
-            let frames = pair.client.stats().frames;
-            if frames != heard || pair.client.settled().is_some() {
-                silence = silence.max(if frames == heard { Duration::ZERO } else { pair.now.since(heard_at) });
-                (heard, heard_at) = (frames, pair.now);
-            }
+            ear.listen(&pair, test)?;
         }
         let part = view as usize * PARTS / views as usize;
         session[part] = session[part].max(pair.server.stats().heap_bytes);
@@ -108,8 +104,6 @@ fn fly(test: &TestModel, name: &str, link: (f64, Duration, u32), minutes: u32) -
     let stats = pair.client.stats();
     let ours = pair.server.mirror().map(|mirror| mirror.digest());
     let theirs = pair.client.replica().map(|replica| replica.digest());
-    let frame = pair.largest_frame_down() as f64 * 8.0 / rate;
-    let explained = 2 * latency + Duration::from_secs_f64(frame) + SLACK;
     let grows = |parts: &[f64; PARTS]| {
         let most = parts[..PARTS - 1].iter().copied().fold(0.0, f64::max);
         parts[PARTS - 1] > GROWTH * most
@@ -125,18 +119,80 @@ fn fly(test: &TestModel, name: &str, link: (f64, Duration, u32), minutes: u32) -
     if minutes >= 10 && (grows(&session_parts) || grows(&both_parts)) {
         wrong.push("memory keeps growing");
     }
-    if silence > explained {
-        wrong.push("a silence was longer than the link explains");
+    if ear.stalls > 0 {
+        wrong.push("ops were due for longer than the link explains, and nothing came");
     }
     let line = json!({
         "model": name, "bits_per_s": rate, "round_trip_ms": 2 * latency.as_millis() as u64, "limit": limit, "minutes": minutes,
         "views": views, "splits": stats.splits, "collapses": stats.collapses, "bytes": pair.bytes_down(),
         "resets": stats.resets, "most_triangles": stats.max_triangles_seen,
-        "longest_silence_ms": silence.as_secs_f64() * 1e3, "explained_ms": explained.as_secs_f64() * 1e3,
+        "longest_silence_ms": ear.longest.as_secs_f64() * 1e3, "explained_ms": ear.explained(&pair).as_secs_f64() * 1e3,
+        "stalls": ear.stalls,
         "session_bytes": session, "both_ends_bytes": both, "wrong": wrong,
     });
     println!("{line}");
     Ok(wrong.is_empty())
+}
+
+/// Listens for silences of a server that owes something.
+///
+/// A view that moves may ask for nothing new and yet not settle: some ops stay until it rests. So when a silence gets longer than
+/// the link explains, what the view asks for is worked out, and only ops that were asked for all the while make it a stall.
+struct Ear {
+    shape: LinkShape,
+    views: VecDeque<(Timestamp, View)>,
+    frames: u64,
+    heard_at: Timestamp,
+    longest: Duration,
+    stalls: u32,
+}
+
+impl Ear {
+    fn new(shape: LinkShape) -> Self {
+        let heard_at = Timestamp::default();
+        Self { shape, views: VecDeque::new(), frames: 0, heard_at, longest: Duration::ZERO, stalls: 0 }
+    }
+
+    /// A round trip, the largest frame so far, and a little.
+    fn explained(&self, pair: &Pair) -> Duration {
+        let frame = pair.largest_frame_down() as f64 / self.shape.bytes_per_sec;
+        2 * self.shape.latency + Duration::from_secs_f64(frame) + SLACK
+    }
+
+    fn expects(&mut self, pair: &Pair, view: View) {
+        self.views.push_back((pair.now, view));
+        let explained = self.explained(pair);
+        // The newest of those that are old enough stays, to be compared with.
+        while self.views.get(1).is_some_and(|(at, _)| pair.now.since(*at) > explained) {
+            self.views.pop_front();
+        }
+    }
+
+    fn listen(&mut self, pair: &Pair, test: &TestModel) -> anyhow::Result<()> {
+        let frames = pair.client.stats().frames;
+        if frames != self.frames || pair.client.settled().is_some() {
+            (self.frames, self.heard_at) = (frames, pair.now);
+            return Ok(());
+        }
+        let silence = pair.now.since(self.heard_at);
+        let explained = self.explained(pair);
+        if silence > explained {
+            let (Some((at, old)), Some((_, new))) = (self.views.front(), self.views.back()) else { return Ok(()) };
+            let old = if pair.now.since(*at) > explained { old } else { return Ok(()) };
+            let applied: BTreeSet<u32> = pair.server.applied_ops().into_iter().map(|(op, _)| op).collect();
+            let before: BTreeSet<u32> = ops_for_view(&test.model, old)?.into_iter().collect();
+            let due = ops_for_view(&test.model, new)?;
+            let due = due.iter().filter(|op| before.contains(op) && !applied.contains(op)).count();
+            if due > 0 {
+                eprintln!("{due} ops were due for {:.0} ms at {:?}", silence.as_secs_f64() * 1e3, pair.now);
+                self.stalls += 1;
+            }
+            self.heard_at = pair.now;
+        } else {
+            self.longest = self.longest.max(silence);
+        }
+        Ok(())
+    }
 }
 
 /// Flies from point to point around the model, looks at its parts, and sometimes stops or jumps.
