@@ -108,7 +108,7 @@ export class Stage {
 
   // A page that remembers what went wrong on it, in `page.faults`.
   async page(path, options = {}) {
-    const context = await this.browser.newContext({ viewport: { width: 900, height: 600 }, ...options });
+    const context = await this.browser.newContext({ viewport: { width: 1120, height: 600 }, ...options });
     const page = await context.newPage();
     page.faults = [];
     page.on('console', (message) => { if (['error', 'warning'].includes(message.type())) page.faults.push(message.text()); });
@@ -141,6 +141,12 @@ export async function settled(page) {
     await page.waitForTimeout(150);
   }
   throw new Error('the camera does not come to rest');
+}
+
+// Waits until the camera has moved away from a link and rests again.
+export async function changed(page, from, what) {
+  await page.waitForFunction((from) => window.lodestream.link() !== from, from, { timeout: PATIENCE }).catch((error) => { throw new Error(`${what}: ${error}`); });
+  return settled(page);
 }
 
 // The figures by name.
