@@ -432,7 +432,8 @@ impl Viewer {
             Command::Record => self.recorder = Some(Recorder::new(now)),
             Command::StopRecording => {
                 if let Some(recorder) = self.recorder.take() {
-                    self.notify(Event::Recorded(recorder.finish()));
+                    let file = recorder.finish(now, self.navigator.as_ref(), self.tolerance_px());
+                    self.notify(Event::Recorded(file));
                 }
             }
             Command::Play(file) => match Player::new(now, &file) {
@@ -486,8 +487,8 @@ impl Viewer {
             }
             moved = navigator.advance(now);
         }
+        let tolerance_px = self.tolerance_px();
         if moved && let Some((recorder, navigator)) = self.recorder.as_mut().zip(self.navigator.as_ref()) {
-            let tolerance_px = self.settings.tolerance_px.fixed().unwrap_or(self.options.pixels_per_point as f32);
             recorder.note(now, navigator, tolerance_px);
         }
         self.update_view(now);
