@@ -1,11 +1,12 @@
 import assert from 'node:assert/strict';
 import { join } from 'node:path';
-import { after, before, test } from 'node:test';
+import { after, afterEach, before, test } from 'node:test';
 import { Stage, changed, figures, marks, parts, pictures, settled, state, PATIENCE } from './stage.mjs';
 
 let stage;
 before(async () => { stage = await Stage.open(); });
 after(() => stage?.close());
+afterEach(() => stage?.closePages());
 
 const key = async (page, ...names) => { for (const name of names) await page.keyboard.press(name); };
 const picture = (page, name) => page.screenshot({ path: join(pictures, `${name}.png`) });
@@ -33,7 +34,6 @@ test('the list leads to a page that shows the picture at once and then the model
   await page.waitForTimeout(500);
   await picture(page, 'desktop');
   assert.deepEqual(page.faults, []);
-  await page.context().close();
 });
 
 test('keys, wheel, buttons and drags move the camera, and the address follows', async () => {
@@ -69,7 +69,6 @@ test('keys, wheel, buttons and drags move the camera, and the address follows', 
   await page.waitForTimeout(600);
   assert.equal(new URL(page.url()).hash, `#${links.at(-1)}`);
   assert.deepEqual(page.faults, []);
-  await page.context().close();
 });
 
 test('marks lie on the complete model, and the distance between them is that of the cube', async () => {
@@ -97,7 +96,6 @@ test('marks lie on the complete model, and the distance between them is that of 
   await key(page, 'Escape');
   await page.waitForFunction(() => document.querySelectorAll('#marks .dot').length === 0, null, { timeout: PATIENCE });
   assert.deepEqual(page.faults, []);
-  await page.context().close();
 });
 
 test('a section cuts away what lies beyond it', async () => {
@@ -119,7 +117,6 @@ test('a section cuts away what lies beyond it', async () => {
   await page.mouse.click(610, 300, { delay: 30 });
   await page.waitForFunction(() => window.lodestream.marks().length === 12, null, { timeout: PATIENCE });
   assert.deepEqual(page.faults, []);
-  await page.context().close();
 });
 
 test('a link leads to the same view with the same settings', async () => {
@@ -139,8 +136,6 @@ test('a link leads to the same view with the same settings', async () => {
   assert.equal(await other.isChecked('#triangles-auto'), false);
   await picture(other, 'wireframe');
   assert.deepEqual([...page.faults, ...other.faults], []);
-  await page.context().close();
-  await other.context().close();
 });
 
 test('the limit holds, and memory stays within what it allows', async () => {
@@ -165,7 +160,6 @@ test('the limit holds, and memory stays within what it allows', async () => {
   assert.ok(memory < 64 * 2 ** 20, `${memory} bytes, ${module} of the module`);
   assert.ok(mostUploaded <= 2 * 2 ** 20, `${mostUploaded} bytes uploaded for an image`);
   assert.deepEqual(page.faults, []);
-  await page.context().close();
 });
 
 test('everything can be reached with the keyboard alone', async () => {
@@ -192,7 +186,6 @@ test('everything can be reached with the keyboard alone', async () => {
   await key(page, 'Enter');
   await page.waitForFunction(() => window.lodestream.distance() > 0, null, { timeout: PATIENCE });
   assert.deepEqual(page.faults, []);
-  await page.context().close();
 });
 
 test('a picture is saved, a recording is made and played', async () => {
@@ -217,7 +210,6 @@ test('a picture is saved, a recording is made and played', async () => {
   await page.waitForFunction(() => /play=off/.test(window.lodestream.settings()), null, { timeout: PATIENCE });
   assert.equal(parts(await settled(page)).from.split(',')[0], parts(there).from.split(',')[0]);
   assert.deepEqual(page.faults, []);
-  await page.context().close();
 });
 
 test('phones get fewer triangles and fingers', async () => {
@@ -241,7 +233,6 @@ test('phones get fewer triangles and fingers', async () => {
   assert.equal(await page.isVisible('#panel'), true);
   await picture(page, 'phone-panel');
   assert.deepEqual(page.faults, []);
-  await page.context().close();
 });
 
 test('a server that goes and comes back finds the viewer where it was', async () => {
@@ -257,7 +248,6 @@ test('a server that goes and comes back finds the viewer where it was', async ()
   assert.equal((await figures(page)).triangles, triangles);
   // The browser itself reports sockets and addresses that nobody answers.
   assert.deepEqual(page.faults.filter((fault) => !/ERR_CONNECTION_REFUSED|WebSocket connection/.test(fault)), []);
-  await page.context().close();
 });
 
 test('a full server and a model that is gone are said', async () => {

@@ -10,7 +10,9 @@ use super::{root, run, target_dir, wasm_cargo, wasm_toolchain};
 /// Builds the modules and bundles them with the page. Servers that are built afterwards embed the folder.
 pub(super) fn build() -> Result<()> {
     if !wasm_toolchain() {
-        bail!("there is no toolchain for wasm32: `rustup target add wasm32-unknown-unknown`, or `cargo xtask setup` on Debian");
+        bail!(
+            "there is no toolchain for wasm32: `rustup target add wasm32-unknown-unknown`, or `cargo xtask setup` on Debian"
+        );
     }
     let module = module("web")?;
     let (web, out) = (root().join("client/web"), target_dir().join("browser/bundle"));

@@ -56,7 +56,8 @@ pub(super) fn run_with(args: ServeArgs, note: impl FnOnce(SocketAddr)) -> anyhow
         None => Viewer::embedded(),
     };
     let shutdown = Shutdown::default();
-    let app = App::new(Box::new(models), viewer, settings, shutdown.clone()).context("cannot start the compute threads")?;
+    let app =
+        App::new(Box::new(models), viewer, settings, shutdown.clone()).context("cannot start the compute threads")?;
     let io_threads = config.runtime.io_threads as usize;
     block_on(io_threads, serve(app, config.http.listen, shutdown, note)).context("cannot start the server's threads")?
 }

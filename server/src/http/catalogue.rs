@@ -162,7 +162,10 @@ fn picture(entry: &ModelEntry, models: &str) -> String {
     if entry.thumbnail.is_none() {
         return "<span class=\"none\"></span>".into();
     }
-    format!("<img src=\"{models}{}/thumbnail\" alt=\"\" width=\"320\" height=\"240\" loading=\"lazy\">", escape(&entry.id))
+    format!(
+        "<img src=\"{models}{}/thumbnail\" alt=\"\" width=\"320\" height=\"240\" loading=\"lazy\">",
+        escape(&entry.id)
+    )
 }
 
 pub(super) fn name(entry: &ModelEntry) -> &str {

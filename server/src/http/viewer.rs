@@ -217,7 +217,10 @@ mod tests {
         let file = |name: &str, text: &'static str| (name.to_owned(), Cow::Borrowed(text.as_bytes()));
         Viewer::of(
             [
-                file("index.html", "<title>{{name}}</title>{{poster}}<p data-hello=\"{{hello}}\" data-hint=\"{{hint}}\">"),
+                file(
+                    "index.html",
+                    "<title>{{name}}</title>{{poster}}<p data-hello=\"{{hello}}\" data-hint=\"{{hint}}\">",
+                ),
                 file("abc/main.js", "plain"),
                 file("abc/main.js.br", "brotli"),
                 file("abc/main.js.gz", "gzip"),
