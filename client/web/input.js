@@ -33,7 +33,7 @@ export function listen(canvas, page, ratio, changed) {
   }, { passive: false });
   on(window, 'keydown', (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || TYPING.has(event.target.tagName)) return;
-    if (event.code === 'Enter' && event.target === canvas && document.body.dataset.tool === 'measure') {
+    if (event.code === 'Enter' && event.target === canvas && /^tool=measure$/m.test(page.settings())) {
       page.command(performance.now(), 'pick', `${canvas.width / 2},${canvas.height / 2}`);
     } else if (event.code === 'KeyC') {
       document.getElementById('toggle').click();

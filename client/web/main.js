@@ -171,6 +171,8 @@ function run(module, screen) {
   let shownAt = 0;
   const show = (time) => {
     const [name, words] = page.state().split('\n');
+    // With the mesh comes what is known of the model.
+    if (name !== element('state').dataset.state) dirtySettings = true;
     setState(name, words);
     if (['refining', 'settled'].includes(name)) element('poster')?.classList.add('gone');
     if (dirtySettings) {
@@ -238,7 +240,8 @@ const showPanel = (isOpen) => {
   toggle.ariaExpanded = String(isOpen);
 };
 toggle.onclick = () => showPanel(element('panel').hidden);
-showPanel(!isSmall && innerWidth > 640);
+// Where it would hide the model it waits to be asked for.
+showPanel(!isSmall && innerWidth > 1000);
 
 try {
   const module = await load();

@@ -108,7 +108,8 @@ export class Stage {
 
   // A page that remembers what went wrong on it, in `page.faults`.
   async page(path, options = {}) {
-    const context = await this.browser.newContext({ viewport: { width: 900, height: 600 }, ...options });
+    const context = await this.browser.newContext({ viewport: { width: 1120, height: 600 }, ...options });
+    this.contexts = [...(this.contexts ?? []), context];
     const page = await context.newPage();
     page.faults = [];
     page.on('console', (message) => { if (['error', 'warning'].includes(message.type())) page.faults.push(message.text()); });
@@ -116,6 +117,11 @@ export class Stage {
     page.on('request', (request) => { if (!request.url().startsWith(this.address('/')) && !/^(data|blob):/.test(request.url())) page.faults.push(`asked for ${request.url()}`); });
     await page.goto(this.address(path));
     return page;
+  }
+
+  // A page that a failed test left would take its place on the server.
+  async closePages() {
+    for (const context of (this.contexts ?? []).splice(0)) await context.close();
   }
 
   async close() {
@@ -128,7 +134,8 @@ export class Stage {
 export const PATIENCE = 30_000;
 
 // Waits for a state of the viewer.
-export const state = (page, name) => page.waitForSelector(`#state[data-state="${name}"]`, { timeout: PATIENCE });
+export const state = (page, name) => page.waitForSelector(`#state[data-state="${name}"]`, { timeout: PATIENCE })
+  .catch(async () => { throw new Error(`not ${name} but ${await page.textContent('#state')}; ${page.faults}`); });
 
 // Waits until the camera rests and the mesh is what it asks for.
 export async function settled(page) {
@@ -141,6 +148,12 @@ export async function settled(page) {
     await page.waitForTimeout(150);
   }
   throw new Error('the camera does not come to rest');
+}
+
+// Waits until the camera has moved away from a link and rests again.
+export async function changed(page, from, what) {
+  await page.waitForFunction((from) => window.lodestream.link() !== from, from, { timeout: PATIENCE }).catch((error) => { throw new Error(`${what}: ${error}`); });
+  return settled(page);
 }
 
 // The figures by name.

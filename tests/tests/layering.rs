@@ -77,7 +77,7 @@ fn names_are_told_from_parts_of_names() {
 #[test]
 fn platform_crates_stay_at_home() {
     let sources = sources();
-    let homes: [(&str, &[&str]); 12] = [
+    let homes: [(&str, &[&str]); 14] = [
         (
             "tokio",
             &[
@@ -104,6 +104,8 @@ fn platform_crates_stay_at_home() {
         ("hyper", &["server/src/http/"]),
         ("hyper_util", &["server/src/http/"]),
         ("wgpu", &["client/src/render/"]),
+        ("wasm_bindgen", &["client/src/app/web.rs"]),
+        ("web_sys", &["client/src/app/web.rs", "client/src/render/canvas.rs"]),
         ("bincode", &["protocol/src/wire.rs"]),
         ("memmap2", &["server/src/repository/mmap.rs"]),
         ("clap", &["server/src/cli/", "client/src/main.rs"]),

@@ -1,5 +1,8 @@
 //! The viewer for browsers: its module, its glue and its page in one folder.
 
+use std::path::Path;
+use std::process::{Command, Stdio};
+
 use anyhow::{Context, Result, bail};
 
 use super::{root, run, target_dir, wasm_cargo, wasm_toolchain};
@@ -13,11 +16,30 @@ pub(super) fn build() -> Result<()> {
     }
     let module = module("web")?;
     let (web, out) = (root().join("client/web"), target_dir().join("browser/bundle"));
-    let text =
-        |path: &std::path::Path| path.to_str().map(str::to_owned).context("the path of the project is not UTF-8");
+    let text = |path: &Path| path.to_str().map(str::to_owned).context("the path of the project is not UTF-8");
     let (web, out) = (text(&web)?, text(&out)?);
     let webgpu = format!("webgpu={module}");
     run("cargo", &["run", "--quiet", "-p", "lodestream-bundler", "--", &web, &out, &webgpu], &[])
+}
+
+/// Whether npm answers: it starts node.
+pub(super) fn has_node() -> bool {
+    let asked = Command::new("npm").arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status();
+    asked.is_ok_and(|status| status.success())
+}
+
+/// Whether the tests in a browser can run.
+pub(super) fn can_test() -> bool {
+    let chromium = std::env::var("CHROMIUM").unwrap_or_else(|_| "/usr/bin/chromium".into());
+    Path::new(&chromium).exists() && has_node()
+}
+
+/// Runs the viewer in Chromium against the server that was built for the tests.
+pub(super) fn test() -> Result<()> {
+    let folder = root().join("tests/browser");
+    let folder = folder.to_str().context("the path of the project is not UTF-8")?;
+    run("npm", &["--prefix", folder, "ci", "--no-audit", "--no-fund"], &[])?;
+    run("npm", &["--prefix", folder, "test"], &[])
 }
 
 /// Builds the client with these features and returns where the module is.

@@ -134,6 +134,10 @@ fn test() -> Result<()> {
     run("cargo", &["doc", "--workspace", "--no-deps", "--quiet"], &[("RUSTDOCFLAGS", "-D warnings")])?;
     if wasm_toolchain() {
         wasm_check()?;
+        browser::build()?;
+        if browser::can_test() {
+            browser::test()?;
+        }
     }
     fuzz("20")?;
     // In the profile of the tests: its checks of arithmetic are worth the time.
@@ -155,6 +159,9 @@ fn missing_tools() -> Vec<String> {
     }
     if !wasm_toolchain() {
         missing.push("browser build: no wasm32 toolchain (Debian: rustc-web cargo-web rust-web-src lld-19)".into());
+    }
+    if !browser::can_test() {
+        missing.push("browser tests: no node with npm, or no chromium (Debian: nodejs npm chromium)".into());
     }
     missing
 }
@@ -208,8 +215,10 @@ fn soak(ops: &str) -> Result<()> {
 }
 
 fn setup() -> Result<()> {
-    let packages = ["mesa-vulkan-drivers", "rustc-web", "cargo-web", "rust-web-src", "lld-19"];
+    let packages = ["mesa-vulkan-drivers", "rustc-web", "cargo-web", "rust-web-src", "lld-19", "chromium"];
+    // A node that came another way is as good, and Debian's may not go with it.
+    let node: &[&str] = if browser::has_node() { &[] } else { &["nodejs", "npm"] };
     run("apt-get", &["update", "-qq"], &[])?;
     let install = ["install", "-y", "-qq", "--no-install-recommends"];
-    run("apt-get", &[&install[..], &packages].concat(), &[("DEBIAN_FRONTEND", "noninteractive")])
+    run("apt-get", &[&install[..], &packages, node].concat(), &[("DEBIAN_FRONTEND", "noninteractive")])
 }

@@ -10,8 +10,8 @@ const WINDOW: usize = 12;
 const FLOOR: u32 = 30_000;
 /// Least time between two changes: the server needs a while to follow, and a limit that flutters would show.
 const PAUSE: Duration = Duration::from_millis(800);
-/// Longer gaps between images are pauses, not slowness.
-const LONGEST_GAP: Duration = Duration::from_millis(500);
+/// Longer gaps between images are pauses, not slowness, even in motion: a page in the background draws nothing.
+const LONGEST_GAP: Duration = Duration::from_secs(5);
 /// Images per second that automatic limits aim at while the camera moves.
 pub const AUTO_IMAGES_PER_S: f32 = 30.0;
 
@@ -22,7 +22,8 @@ pub struct Governor {
     most: u32,
     limit: u32,
     gaps: Vec<Duration>,
-    last_image: Option<Timestamp>,
+    /// When the last image was drawn, and whether it was one of a motion.
+    last_image: Option<(Timestamp, bool)>,
     changed_at: Option<Timestamp>,
 }
 
@@ -37,11 +38,11 @@ impl Governor {
         self.limit
     }
 
-    /// An image was drawn. `in_motion` says that the next follows at once, so that the time between two is what one
+    /// An image was drawn. `in_motion` says that the next follows at once, so that the time between two such is what one
     /// takes; `triangles` are those drawn.
     pub fn note_image(&mut self, now: Timestamp, in_motion: bool, triangles: u32, wanted_per_s: f32) {
-        let gap = self.last_image.replace(now).map(|last| now.since(last));
-        let Some(gap) = gap.filter(|gap| in_motion && *gap <= LONGEST_GAP) else {
+        let last = self.last_image.replace((now, in_motion)).filter(|(_, was_in_motion)| *was_in_motion && in_motion);
+        let Some(gap) = last.map(|(at, _)| now.since(at)).filter(|gap| *gap <= LONGEST_GAP) else {
             self.gaps.clear();
             return;
         };
@@ -98,7 +99,7 @@ mod tests {
         assert!((200_000..450_000).contains(&slow), "33 ms are 333,333 triangles: {slow}");
         let now = run(&mut governor, now, 30.0, 10.0);
         assert_eq!(governor.limit(), 1_000_000, "and rises again");
-        run(&mut governor, now, 30.0, 10_000.0);
+        run(&mut governor, now, 300.0, 3_000.0);
         assert_eq!(governor.limit(), FLOOR);
     }
 

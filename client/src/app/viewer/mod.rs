@@ -432,7 +432,8 @@ impl Viewer {
             Command::Record => self.recorder = Some(Recorder::new(now)),
             Command::StopRecording => {
                 if let Some(recorder) = self.recorder.take() {
-                    self.notify(Event::Recorded(recorder.finish()));
+                    let file = recorder.finish(now, self.navigator.as_ref(), self.tolerance_px());
+                    self.notify(Event::Recorded(file));
                 }
             }
             Command::Play(file) => match Player::new(now, &file) {
@@ -486,8 +487,8 @@ impl Viewer {
             }
             moved = navigator.advance(now);
         }
+        let tolerance_px = self.tolerance_px();
         if moved && let Some((recorder, navigator)) = self.recorder.as_mut().zip(self.navigator.as_ref()) {
-            let tolerance_px = self.settings.tolerance_px.fixed().unwrap_or(self.options.pixels_per_point as f32);
             recorder.note(now, navigator, tolerance_px);
         }
         self.update_view(now);
@@ -524,8 +525,12 @@ impl Viewer {
             replica.track_dirty();
         }
         self.touches = replica.dirty_mut().map_or(0, |dirty| dirty.touches());
-        let camera =
-            RenderCamera { eye: camera.eye, rotation: camera.orientation, projection: camera.projection, near: camera.near };
+        let camera = RenderCamera {
+            eye: camera.eye,
+            rotation: camera.orientation,
+            projection: camera.projection,
+            near: camera.near,
+        };
         Some(Scene { replica, lattice, camera, options })
     }
 
@@ -709,7 +714,8 @@ impl Viewer {
         let session = self.kept.as_mut().unwrap_or(&mut self.session);
         let generation = session.generation();
         let Some(replica) = session.replica_mut() else { return false };
-        self.drawn_generation != Some((is_kept, generation)) || replica.dirty_mut().is_none_or(|dirty| !dirty.is_empty())
+        self.drawn_generation != Some((is_kept, generation))
+            || replica.dirty_mut().is_none_or(|dirty| !dirty.is_empty())
     }
 
     /// Applies batches until their uploads fill the allowance. The mesh that is not on screen has no uploads, and its
@@ -717,7 +723,8 @@ impl Viewer {
     fn apply(&mut self, now: Timestamp) {
         let before = self.session.stats().op_bytes;
         while self.session.has_ready() {
-            let touches = match self.session.replica_mut().and_then(|replica| replica.dirty_mut().map(|d| d.touches())) {
+            let touches = match self.session.replica_mut().and_then(|replica| replica.dirty_mut().map(|d| d.touches()))
+            {
                 Some(touches) if self.kept.is_none() => touches as f64 * self.bytes_per_touch,
                 // A byte of ops touches some four slots.
                 _ => (self.session.stats().op_bytes - before) as f64 * 4.0 * self.bytes_per_touch,
@@ -760,7 +767,9 @@ impl Viewer {
         let Some((probe, _)) = self.probe.take() else { return };
         self.requests.push_back(Request::Close(Wire::Probe));
         if probe.unanswered().any(|id| self.marks.iter().any(|mark| mark.id == id)) {
-            self.notify(Event::Notice("the server did not refine this point: the mark is on the mesh on screen".into()));
+            self.notify(Event::Notice(
+                "the server did not refine this point: the mark is on the mesh on screen".into(),
+            ));
         }
     }
 

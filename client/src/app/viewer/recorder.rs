@@ -48,8 +48,12 @@ impl Recorder {
         write_view(&mut self.text, &view).expect("memory takes all");
     }
 
-    /// The file.
-    pub(super) fn finish(self) -> Vec<u8> {
+    /// The file, which ends with the view at `now`.
+    pub(super) fn finish(mut self, now: Timestamp, navigator: Option<&Navigator>, tolerance_px: f32) -> Vec<u8> {
+        self.last = None;
+        if let Some(navigator) = navigator {
+            self.note(now, navigator, tolerance_px);
+        }
         self.text
     }
 }
@@ -110,7 +114,7 @@ mod tests {
             recorder.note(at(ms), &navigator, 1.0);
             eyes.push((ms, navigator.orbit().eye()));
         }
-        let file = recorder.finish();
+        let file = recorder.finish(at(1990), Some(&navigator), 1.0);
         let mut player = Player::new(at(50_000), &file).unwrap();
         let mut is_last = false;
         for (ms, eye) in eyes {
