@@ -221,13 +221,13 @@ fn frames_that_make_no_sense_end_the_session() {
     assert!(matches!(fails(&[200, 1, 2]), ClientError::Wire(_)));
     assert!(matches!(fails(&server.batch(ViewSeq(1), 1)), ClientError::OutOfTurn(_)));
     let welcome = |change: &dyn Fn(&mut ModelInfo, &mut u32, &mut Vec<u8>)| {
-        let ServerMessage::Welcome { mut model, mut cache_entries, mut base } =
+        let ServerMessage::Welcome { mut model, mut cache_entries, mut base, .. } =
             wire::decode_server(&FakeServer::new().welcome()).unwrap()
         else {
             unreachable!("it is a welcome")
         };
         change(&mut model, &mut cache_entries, &mut base);
-        fails(&encode_server(&ServerMessage::Welcome { model, cache_entries, base }))
+        fails(&encode_server(&ServerMessage::Welcome { model, cache_entries, token: None, base }))
     };
     assert!(matches!(welcome(&|m, _, _| m.lattice.step = f64::NAN), ClientError::BadModel("lattice")));
     assert!(matches!(welcome(&|m, _, _| m.lattice.bits = 200), ClientError::BadModel("lattice")));

@@ -79,6 +79,7 @@ fn options(target: Target) -> SnapshotOptions {
         detail: Detail::default(),
         shape: LinkShape::default(),
         until: Until::Settled,
+        reconnect_for: Duration::ZERO,
         output: None,
         export: None,
         stats: None,
