@@ -51,7 +51,12 @@ impl FakeServer {
 
     pub(crate) fn welcome(&self) -> Vec<u8> {
         let base = encode_base(&self.base, BITS, true);
-        encode_server(&ServerMessage::Welcome { model: self.model(), cache_entries: CACHE_ENTRIES, token: Some(TOKEN), base })
+        encode_server(&ServerMessage::Welcome {
+            model: self.model(),
+            cache_entries: CACHE_ENTRIES,
+            token: Some(TOKEN),
+            base,
+        })
     }
 
     /// A batch that collapses what it may, if asked to, and splits about `splits` vertices in one round.

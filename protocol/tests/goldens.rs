@@ -134,7 +134,15 @@ fn server_messages() -> Vec<(&'static str, ServerMessage)> {
     };
     let encoded = encode_base(&base(), 10, true);
     let mut messages = vec![
-        ("welcome.hex", ServerMessage::Welcome { model: model.clone(), cache_entries: 8, token: Some(token(0xa0)), base: encoded.clone() }),
+        (
+            "welcome.hex",
+            ServerMessage::Welcome {
+                model: model.clone(),
+                cache_entries: 8,
+                token: Some(token(0xa0)),
+                base: encoded.clone(),
+            },
+        ),
         ("welcome_no_token.hex", ServerMessage::Welcome { model, cache_entries: 8, token: None, base: encoded }),
         (
             "settled.hex",
@@ -182,7 +190,8 @@ fn every_server_frame_is_as_it_was() {
 /// The stored session decodes by itself: base, three batches, digests.
 #[test]
 fn the_session_still_decodes() {
-    let ServerMessage::Welcome { base, model, cache_entries, .. } = decode_server(&golden("welcome.hex")).unwrap() else {
+    let ServerMessage::Welcome { base, model, cache_entries, .. } = decode_server(&golden("welcome.hex")).unwrap()
+    else {
         panic!("the welcome is no welcome");
     };
     let base = decode_base(&base, model.lattice.bits, model.has_colors).unwrap();

@@ -144,7 +144,13 @@ pub struct SessionSection {
 impl Default for SessionSection {
     fn default() -> Self {
         let SessionConfig { max_cache_entries, max_window_bytes, .. } = SessionConfig::default();
-        Self { max_cache_entries, max_window_bytes, max_bytes: SessionConfig::default().max_bytes, rest_after_s: 5, resume_s: 60 }
+        Self {
+            max_cache_entries,
+            max_window_bytes,
+            max_bytes: SessionConfig::default().max_bytes,
+            rest_after_s: 5,
+            resume_s: 60,
+        }
     }
 }
 

@@ -30,8 +30,8 @@ use lodestream_protocol::view::{View, ViewError};
 use lodestream_protocol::wire::{self, WireError};
 
 use inbox::{Inbox, Item};
-pub use reconnect::Connectivity;
 use reconnect::Backoff;
+pub use reconnect::Connectivity;
 pub use stats::{FIRST_IMAGE_TRIANGLES, Stats};
 
 /// Resets after which the session gives up, unless enough batches went well in between.

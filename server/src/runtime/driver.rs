@@ -201,14 +201,14 @@ pub async fn drive(
         view_time: None,
     };
     let mut run = Box::pin(driver.run(hello_timeout, inbound, outbound));
-    let mut end = tokio::select! {
+    let (mut end, is_interrupted) = tokio::select! {
         biased;
-        end = interrupted => end,
-        end = &mut run => end,
+        end = interrupted => (end, true),
+        end = &mut run => (end, false),
     };
-    // A slice that runs now has the core, and what it gives is wanted. The driver ends after it: with `interrupted`, the other ends of
-    // its channels are gone.
-    if end.is_broken_connection() && !matches!(end, SessionEnd::TakenOver) {
+    if is_interrupted && end.is_broken_connection() {
+        // A slice that runs now has the core, which is wanted. The driver ends after it: with `interrupted`, the other ends of its channels
+        // are gone.
         match run.await {
             SessionEnd::PeerGone => {}
             other => end = other,
@@ -267,6 +267,7 @@ impl Driver<'_> {
             // Frames first: the next batch should answer the newest of them.
             let step = tokio::select! {
                 biased;
+                () = taken_over(self.ticket.as_ref()) => Err(SessionEnd::TakenOver),
                 frame = inbound.recv() => match frame {
                     Some(frame) => self.handle(frame).await,
                     None => return SessionEnd::PeerGone,
@@ -279,7 +280,6 @@ impl Driver<'_> {
                     Ok(()) => self.handle_pages().await,
                     Err(lost) => Err(SessionEnd::Lost(lost)),
                 },
-                () = taken_over(self.ticket.as_ref()) => Err(SessionEnd::TakenOver),
                 () = self.workers.memory.shortage(), if self.account.stats().activity == Activity::Settled => {
                     self.slice(|core, _| {
                         core.rest();
@@ -620,7 +620,9 @@ mod tests {
         let (outbound, answers) = mpsc::channel(1);
         let report = tokio::spawn({
             let workers = std::sync::Arc::clone(&workers);
-            async move { drive(Box::new(Echo::default()), "echo", &workers, hello_timeout, inbound, outbound, interrupted).await }
+            async move {
+                drive(Box::new(Echo::default()), "echo", &workers, hello_timeout, inbound, outbound, interrupted).await
+            }
         });
         Session { frames, answers, report, workers }
     }

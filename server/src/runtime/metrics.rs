@@ -176,8 +176,12 @@ impl Metrics {
         Refusal::ALL.iter().for_each(|reason| drop(refused.with_label_values(&[reason.label()])));
         let closed = counters(&registry, "lodestream_closed_total", "Streams closed, by close code.", "code");
         CloseCode::ALL.iter().for_each(|&code| drop(closed.with_label_values(&[close_label(code)])));
-        let resumptions =
-            counters(&registry, "lodestream_resumptions_total", "Sessions whose connection broke, by outcome.", "outcome");
+        let resumptions = counters(
+            &registry,
+            "lodestream_resumptions_total",
+            "Sessions whose connection broke, by outcome.",
+            "outcome",
+        );
         Resumption::ALL.iter().for_each(|outcome| drop(resumptions.with_label_values(&[outcome.label()])));
         let ops = counters(&registry, "lodestream_ops_total", "Ops sent, by kind.", "kind");
         let kind = |kind| ops.with_label_values(&[kind]);

@@ -60,8 +60,14 @@ struct Entry {
 
 enum Place {
     /// It has a connection, which is told when another one asks for the session, and whoever waits for it then.
-    Open { takeover: Arc<Notify>, claimant: Option<oneshot::Sender<Kept>> },
-    Parked { kept: Kept, until: Instant },
+    Open {
+        takeover: Arc<Notify>,
+        claimant: Option<oneshot::Sender<Kept>>,
+    },
+    Parked {
+        kept: Kept,
+        until: Instant,
+    },
 }
 
 impl std::fmt::Debug for Place {

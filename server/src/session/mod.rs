@@ -281,7 +281,15 @@ impl Session {
     }
 
     fn with_access(model: Arc<PackedModel>, config: SessionConfig, access: PageAccess) -> Self {
-        Self { model, access, config, stats: SessionStats::default(), control: VecDeque::new(), token: None, running: None }
+        Self {
+            model,
+            access,
+            config,
+            stats: SessionStats::default(),
+            control: VecDeque::new(),
+            token: None,
+            running: None,
+        }
     }
 
     /// Pages that the current view needs, if that has changed since the last call. To be called after
@@ -439,8 +447,7 @@ impl Session {
             let seq = running.last_seq;
             let has_settled = work.is_done();
             running.settled_at = has_settled.then_some(now);
-            running.settled =
-                has_settled.then(|| Settled { view: current.seq, seq, outcome: work.outcome() });
+            running.settled = has_settled.then(|| Settled { view: current.seq, seq, outcome: work.outcome() });
             let in_force = (current.view.triangle_limit, work.lambda);
             let before = running.told.replace(in_force);
             let message = ServerMessage::Batch(Batch {
