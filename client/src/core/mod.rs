@@ -321,13 +321,16 @@ impl ClientSession {
                 return Some(ClientMessage::Hello(hello));
             };
             self.may_resume = true;
+            // The claim says both.
+            (self.ack_due, self.reset_due) = (None, None);
             let received = self.inbox.received(self.applied, self.awaits_restart);
             return Some(ClientMessage::Resume(Resume { hello, token, received }));
         }
-        if let Some(seq) = self.ack_due.take() {
+        // Before the server has said whether the session goes on, the numbers of batches may mean nothing to it.
+        if let Some(seq) = self.ack_due.take_if(|_| !self.awaits_answer) {
             return Some(ClientMessage::Ack { seq });
         }
-        if let Some(seq) = self.reset_due.take() {
+        if let Some(seq) = self.reset_due.take_if(|_| !self.awaits_answer) {
             return Some(ClientMessage::Reset { seq });
         }
         let is_due = self.poll_timeout().is_some_and(|at| at <= now);
@@ -416,6 +419,7 @@ impl ClientSession {
         self.applied = BatchSeq(0);
         (self.limit, self.lambda_px) = (None, None);
         self.awaits_restart = false;
+        (self.ack_due, self.reset_due) = (None, None);
         self.batches_since_reset = 0;
         self.applied_view = None;
         match before {
