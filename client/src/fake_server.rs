@@ -1,6 +1,6 @@
 //! A server small enough to drive by hand: it splits and collapses at random and tells the truth unless asked to lie.
 
-use lodestream_protocol::ids::{BatchSeq, ModelHash, ViewSeq};
+use lodestream_protocol::ids::{BatchSeq, ModelHash, Token, ViewSeq};
 use lodestream_protocol::mesh::{Cut, Fan, Patch, Replica};
 use lodestream_protocol::message::{Batch, ModelInfo, Outcome, ServerMessage, Settled};
 use lodestream_protocol::op::{BatchEncoder, OpState, encode_base};
@@ -10,6 +10,7 @@ use lodestream_protocol::wire::encode_server;
 
 const BITS: u8 = 12;
 const CACHE_ENTRIES: u32 = 64;
+pub(crate) const TOKEN: Token = Token([7; 16]);
 
 pub(crate) struct FakeServer {
     base: Patch,
@@ -50,7 +51,12 @@ impl FakeServer {
 
     pub(crate) fn welcome(&self) -> Vec<u8> {
         let base = encode_base(&self.base, BITS, true);
-        encode_server(&ServerMessage::Welcome { model: self.model(), cache_entries: CACHE_ENTRIES, base })
+        encode_server(&ServerMessage::Welcome {
+            model: self.model(),
+            cache_entries: CACHE_ENTRIES,
+            token: Some(TOKEN),
+            base,
+        })
     }
 
     /// A batch that collapses what it may, if asked to, and splits about `splits` vertices in one round.

@@ -87,6 +87,9 @@ struct SnapshotArgs {
     /// When to stop: settled, bytes:N or seconds:S
     #[arg(long, value_name = "END", default_value = "settled")]
     until: Until,
+    /// Seconds to try to connect again when the connection breaks, 0 for not at all
+    #[arg(long, value_name = "S", default_value = "10", value_parser = parse_patience)]
+    reconnect: std::time::Duration,
     /// Write the image as PNG
     #[arg(long, value_name = "FILE")]
     output: Option<PathBuf>,
@@ -203,6 +206,7 @@ fn run_snapshot(args: SnapshotArgs) -> anyhow::Result<()> {
         },
         shape: LinkShape { rate: args.rate, latency: args.latency, ..LinkShape::default() },
         until: args.until,
+        reconnect_for: args.reconnect,
         output: args.output,
         export: args.export,
         stats: args.stats,
@@ -341,6 +345,11 @@ fn parse_tolerance(text: &str) -> Result<f32, String> {
 fn parse_seconds(text: &str) -> Result<std::time::Duration, String> {
     let seconds = text.parse().ok().filter(|seconds| (0.001..=1e7).contains(seconds));
     seconds.map(std::time::Duration::from_secs_f64).ok_or_else(|| "expected seconds, above 0".into())
+}
+
+fn parse_patience(text: &str) -> Result<std::time::Duration, String> {
+    let seconds = text.parse().ok().filter(|seconds| (0.0..=1e7).contains(seconds));
+    seconds.map(std::time::Duration::from_secs_f64).ok_or_else(|| "expected seconds, 0 or more".into())
 }
 
 fn parse_loss(text: &str) -> Result<f64, String> {

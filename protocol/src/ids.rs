@@ -74,3 +74,42 @@ impl ViewSeq {
 /// Identity of a model: the order-independent hash of the oriented triangles of its complete, lattice-rounded mesh.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default, Serialize, Deserialize)]
 pub struct ModelHash(pub u64);
+
+/// What a client shows to go on with a session whose connection broke: 128 random bits that the server gave it. Whoever has
+/// it may take the session over, so it is a secret: it is not shown in logs.
+#[derive(Clone, Copy, Serialize, Deserialize)]
+pub struct Token(pub [u8; 16]);
+
+impl PartialEq for Token {
+    /// Takes the same time wherever the two differ.
+    fn eq(&self, other: &Self) -> bool {
+        self.0.iter().zip(&other.0).fold(0, |differences, (a, b)| differences | (a ^ b)) == 0
+    }
+}
+
+impl Eq for Token {}
+
+impl std::fmt::Debug for Token {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Token(..)")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tokens_are_equal_in_all_bytes_and_not_shown() {
+        let token = Token(std::array::from_fn(|i| i as u8));
+        for i in 0..16 {
+            for bit in 0..8 {
+                let mut other = token;
+                other.0[i] ^= 1 << bit;
+                assert_ne!(token, other);
+            }
+        }
+        assert_eq!(token, Token(token.0));
+        assert_eq!(format!("{token:?}"), "Token(..)");
+    }
+}

@@ -4,17 +4,17 @@ use std::num::NonZeroU16;
 
 use serde::{Deserialize, Serialize};
 
-use crate::ids::{BatchSeq, ModelHash, ViewSeq};
+use crate::ids::{BatchSeq, ModelHash, Token, ViewSeq};
 use crate::quant::Lattice;
 use crate::view::View;
 
 /// Version of everything in `PROTOCOL.md`. Both ends must have the same.
-pub const PROTOCOL_VERSION: u16 = 3;
+pub const PROTOCOL_VERSION: u16 = 4;
 
 /// What a client says.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ClientMessage {
-    /// First message of a connection.
+    /// First message of a connection, of a client that holds nothing.
     Hello(Hello),
     /// What to show from now on. Only the newest view counts.
     View {
@@ -33,6 +33,8 @@ pub enum ClientMessage {
         /// The batch at fault.
         seq: BatchSeq,
     },
+    /// First message of a connection, in place of the hello: of a client whose connection before this one broke.
+    Resume(Resume),
 }
 
 /// Opens a session.
@@ -48,6 +50,19 @@ pub struct Hello {
     pub byte_rate: Option<u32>,
 }
 
+/// Opens a connection and asks to go on with a session. The server answers with [`ServerMessage::Resumed`], or with
+/// [`ServerMessage::Welcome`] as if it were a [`Hello`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Resume {
+    /// What a hello says. Of a session that goes on, the cache stays as it is.
+    pub hello: Hello,
+    /// The newest that the server gave.
+    pub token: Token,
+    /// The newest batch that has arrived whole, with all before it; 0 for none since the base. `None`: what the client holds is of
+    /// no use (it waits for a restart), so the session is to begin again.
+    pub received: Option<BatchSeq>,
+}
+
 /// What a server says.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ServerMessage {
@@ -57,6 +72,8 @@ pub enum ServerMessage {
         model: ModelInfo,
         /// Entries of the mirrored op cache, fixed for the session.
         cache_entries: u32,
+        /// What to resume the session by, should the connection break. `None` if the server keeps no such sessions.
+        token: Option<Token>,
         /// The base mesh, see [`decode_base`](crate::op::decode_base).
         base: Vec<u8>,
     },
@@ -67,6 +84,12 @@ pub enum ServerMessage {
     /// Answers [`ClientMessage::Reset`]: go back to the base, an empty cache and fresh coder contexts. Batches count from 1
     /// again.
     Restart,
+    /// Answers [`ClientMessage::Resume`]: the session goes on. The batches after the one that the client named follow, those that were
+    /// sent before as they were; or a [`Restart`](Self::Restart), if it named none.
+    Resumed {
+        /// Takes the place of the one before.
+        token: Token,
+    },
 }
 
 /// The model as a client needs to know it.
@@ -163,13 +186,15 @@ pub enum CloseCode {
     Internal = 4005,
     /// The client did not say hello, or sent nothing for too long.
     Timeout = 4006,
+    /// The session goes on over another connection.
+    TakenOver = 4007,
 }
 
 impl CloseCode {
     /// All codes.
-    pub const ALL: [Self; 9] = {
+    pub const ALL: [Self; 10] = {
         use CloseCode::*;
-        [Normal, GoingAway, Malformed, Version, LimitTooSmall, Full, ModelDamaged, Internal, Timeout]
+        [Normal, GoingAway, Malformed, Version, LimitTooSmall, Full, ModelDamaged, Internal, Timeout, TakenOver]
     };
 
     /// The code with this number.

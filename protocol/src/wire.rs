@@ -143,19 +143,18 @@ pub fn decode_server(bytes: &[u8]) -> Result<ServerMessage, WireError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ids::{BatchSeq, ViewSeq};
-    use crate::message::{Hello, Settled};
+    use crate::ids::{BatchSeq, Token, ViewSeq};
+    use crate::message::{Hello, Resume, Settled};
     use crate::view::View;
     use glam::DVec3;
 
     fn client_messages() -> Vec<ClientMessage> {
+        let hello = Hello { version: 1, triangle_limit: 5000, cache_entries: Some(5000), byte_rate: None };
+        let resume = Resume { hello, token: Token([7; 16]), received: None };
         vec![
-            ClientMessage::Hello(Hello {
-                version: 1,
-                triangle_limit: 5000,
-                cache_entries: Some(5000),
-                byte_rate: None,
-            }),
+            ClientMessage::Hello(hello),
+            ClientMessage::Resume(resume),
+            ClientMessage::Resume(Resume { received: Some(BatchSeq(70_000)), ..resume }),
             ClientMessage::View {
                 seq: ViewSeq(7),
                 view: View::perspective(DVec3::new(1.0, 2.0, 3.0), DVec3::ZERO, 0.7),
@@ -186,6 +185,7 @@ mod tests {
             ServerMessage::Batch(full),
             ServerMessage::Settled(settled),
             ServerMessage::Restart,
+            ServerMessage::Resumed { token: Token([255; 16]) },
         ] {
             assert_eq!(decode_server(&encode_server(&message)).unwrap(), message);
         }

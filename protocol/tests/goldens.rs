@@ -1,19 +1,19 @@
-//! Golden frames of protocol version 3: the bytes of fixed messages and of a fixed session, as hexadecimal files. They hold
+//! Golden frames of protocol version 4: the bytes of fixed messages and of a fixed session, as hexadecimal files. They hold
 //! `PROTOCOL.md` and the code together and are never rewritten; a new version adds a folder.
 
 use std::path::PathBuf;
 
 use glam::DVec3;
-use lodestream_protocol::ids::{BatchSeq, ModelHash, VertexSlot, ViewSeq};
+use lodestream_protocol::ids::{BatchSeq, ModelHash, Token, VertexSlot, ViewSeq};
 use lodestream_protocol::mesh::{Cut, NewVertex, Patch};
-use lodestream_protocol::message::{Batch, ClientMessage, Hello, ModelInfo, Outcome, ServerMessage, Settled};
+use lodestream_protocol::message::{Batch, ClientMessage, Hello, ModelInfo, Outcome, Resume, ServerMessage, Settled};
 use lodestream_protocol::op::{BatchEncoder, OpState, canonical_order, decode_base, decode_batch, encode_base};
 use lodestream_protocol::quant::Lattice;
 use lodestream_protocol::view::{Projection, View};
 use lodestream_protocol::wire::{decode_client, decode_server, encode_client, encode_server};
 
 fn folder() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden/v3")
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden/v4")
 }
 
 fn hex(bytes: &[u8]) -> String {
@@ -91,6 +91,10 @@ fn batches() -> Vec<Vec<u8>> {
     out
 }
 
+fn token(first: u8) -> Token {
+    Token(std::array::from_fn(|i| first + i as u8))
+}
+
 fn client_messages() -> Vec<(&'static str, ClientMessage)> {
     let mut view = View::perspective(DVec3::new(1.0, 2.0, 3.0), DVec3::ZERO, 0.75);
     // Fixed numbers instead of trigonometry.
@@ -99,20 +103,16 @@ fn client_messages() -> Vec<(&'static str, ClientMessage)> {
     section.projection = Projection::Orthographic { height: 2.5 };
     section.clip_planes = vec![[1.0, 0.0, 0.0, -0.5]];
     section.complete = true;
+    let hello = Hello { version: 4, triangle_limit: 1_000_000, cache_entries: Some(300), byte_rate: None };
+    let resume = Resume { hello, token: token(0xa0), received: Some(BatchSeq(250)) };
     vec![
-        (
-            "hello.hex",
-            ClientMessage::Hello(Hello {
-                version: 3,
-                triangle_limit: 1_000_000,
-                cache_entries: Some(300),
-                byte_rate: None,
-            }),
-        ),
+        ("hello.hex", ClientMessage::Hello(hello)),
         ("view.hex", ClientMessage::View { seq: ViewSeq(1), view }),
         ("view_section.hex", ClientMessage::View { seq: ViewSeq(70_000), view: section }),
         ("ack.hex", ClientMessage::Ack { seq: BatchSeq(250) }),
         ("reset.hex", ClientMessage::Reset { seq: BatchSeq(251) }),
+        ("resume.hex", ClientMessage::Resume(resume)),
+        ("resume_anew.hex", ClientMessage::Resume(Resume { received: None, ..resume })),
     ]
 }
 
@@ -132,8 +132,18 @@ fn server_messages() -> Vec<(&'static str, ServerMessage)> {
         smallest_limit: 6,
         crease_angle_deg: 45.0,
     };
+    let encoded = encode_base(&base(), 10, true);
     let mut messages = vec![
-        ("welcome.hex", ServerMessage::Welcome { model, cache_entries: 8, base: encode_base(&base(), 10, true) }),
+        (
+            "welcome.hex",
+            ServerMessage::Welcome {
+                model: model.clone(),
+                cache_entries: 8,
+                token: Some(token(0xa0)),
+                base: encoded.clone(),
+            },
+        ),
+        ("welcome_no_token.hex", ServerMessage::Welcome { model, cache_entries: 8, token: None, base: encoded }),
         (
             "settled.hex",
             ServerMessage::Settled(Settled {
@@ -143,6 +153,7 @@ fn server_messages() -> Vec<(&'static str, ServerMessage)> {
             }),
         ),
         ("restart.hex", ServerMessage::Restart),
+        ("resumed.hex", ServerMessage::Resumed { token: token(0xb0) }),
     ];
     let mut state = state();
     for ((seq, ops), name) in (1..).zip(batches()).zip(["batch_1.hex", "batch_2.hex", "batch_3.hex"]) {
@@ -159,7 +170,7 @@ fn server_messages() -> Vec<(&'static str, ServerMessage)> {
 }
 
 #[test]
-fn every_v2_client_frame_is_as_it_was() {
+fn every_client_frame_is_as_it_was() {
     for (name, message) in client_messages() {
         let bytes = golden(name);
         assert_eq!(decode_client(&bytes).unwrap(), message, "{name}");
@@ -168,7 +179,7 @@ fn every_v2_client_frame_is_as_it_was() {
 }
 
 #[test]
-fn every_v2_server_frame_is_as_it_was() {
+fn every_server_frame_is_as_it_was() {
     for (name, message) in server_messages() {
         let bytes = golden(name);
         assert_eq!(decode_server(&bytes).unwrap(), message, "{name}");
@@ -178,8 +189,9 @@ fn every_v2_server_frame_is_as_it_was() {
 
 /// The stored session decodes by itself: base, three batches, digests.
 #[test]
-fn the_v2_session_still_decodes() {
-    let ServerMessage::Welcome { base, model, cache_entries } = decode_server(&golden("welcome.hex")).unwrap() else {
+fn the_session_still_decodes() {
+    let ServerMessage::Welcome { base, model, cache_entries, .. } = decode_server(&golden("welcome.hex")).unwrap()
+    else {
         panic!("the welcome is no welcome");
     };
     let base = decode_base(&base, model.lattice.bits, model.has_colors).unwrap();
@@ -208,15 +220,15 @@ fn a_walked_base_is_as_it_was() {
     assert_eq!(hex(&encode_base(&walked, 10, true)), hex(&bytes));
 }
 
-/// What a server must still understand of a client of version 1, to tell it the version.
+/// What a server must still understand of clients of other versions, to tell them the version.
 #[test]
-fn a_v1_hello_still_decodes() {
-    let text = std::fs::read_to_string(folder().join("../v1/hello.hex")).unwrap();
-    let digits = text.trim();
-    let bytes: Vec<u8> =
-        (0..digits.len() / 2).map(|i| u8::from_str_radix(&digits[2 * i..2 * i + 2], 16).unwrap()).collect();
-    let ClientMessage::Hello(hello) = decode_client(&bytes).unwrap() else { panic!("the hello is none") };
-    assert_eq!(hello.version, 1);
+fn hellos_of_other_versions_decode() {
+    for version in [1, 3] {
+        let ClientMessage::Hello(hello) = decode_client(&golden(&format!("../v{version}/hello.hex"))).unwrap() else {
+            panic!("the hello is none")
+        };
+        assert_eq!(hello.version, version);
+    }
 }
 
 /// Writes the files of a new version. Refuses to touch files that exist.

@@ -12,7 +12,7 @@ fn text() -> String {
 }
 
 fn golden(name: &str) -> Vec<u8> {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/v3/{name}.hex"));
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/v4/{name}.hex"));
     let text = std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     bytes(&text)
 }
@@ -49,13 +49,15 @@ fn annotated(lines: &[String]) -> Vec<u8> {
 #[test]
 fn annotated_frames_are_the_golden_ones() {
     let blocks = blocks(&text(), "hex");
-    for name in ["hello", "view", "ack", "reset", "welcome", "batch_1", "batch_2", "batch_3", "settled", "restart"] {
+    const FROM_CLIENT: [&str; 5] = ["hello", "view", "ack", "reset", "resume"];
+    const FROM_SERVER: [&str; 7] = ["welcome", "batch_1", "batch_2", "batch_3", "settled", "restart", "resumed"];
+    for name in FROM_CLIENT.into_iter().chain(FROM_SERVER) {
         assert!(blocks.iter().any(|(block, _)| block == name), "no example of {name}");
     }
     for (name, lines) in &blocks {
         let frame = annotated(lines);
         assert_eq!(frame, golden(name), "{name}");
-        if ["hello", "view", "ack", "reset"].contains(&name.as_str()) {
+        if FROM_CLIENT.contains(&name.as_str()) {
             assert_eq!(encode_client(&decode_client(&frame).unwrap()), frame, "{name}");
         } else {
             assert_eq!(encode_server(&decode_server(&frame).unwrap()), frame, "{name}");
@@ -111,7 +113,7 @@ impl<'a> Coder<'a> {
 
 /// The steps of the golden batches, one line each, as decoded by the codec and again by the twin.
 fn steps_of_batches() -> Vec<(String, Vec<String>)> {
-    let ServerMessage::Welcome { base, model, cache_entries } = decode_server(&golden("welcome")).unwrap() else {
+    let ServerMessage::Welcome { base, model, cache_entries, .. } = decode_server(&golden("welcome")).unwrap() else {
         panic!("the welcome is no welcome");
     };
     let base = decode_base(&base, model.lattice.bits, model.has_colors).unwrap();

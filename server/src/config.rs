@@ -20,6 +20,8 @@ use crate::telemetry::LogFormat;
 
 const VARIABLE_PREFIX: &str = "LODESTREAM_";
 
+const MAX_RESUME_S: u32 = 24 * 60 * 60;
+
 /// All of the configuration.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -133,12 +135,22 @@ pub struct SessionSection {
     /// Seconds without a new view after which a session whose view has settled drops its mirror of the client's mesh: some 5 bytes
     /// for each vertex instead of 100 stay, and the next view waits some milliseconds longer. Default 5.
     pub rest_after_s: u32,
+    /// Seconds that a session whose connection broke is kept for its client to come back, 0 for not at all. Such sessions drop their
+    /// mirrors and keep what was not acknowledged. At most `runtime.max_sessions` are kept beside those that are open; their memory
+    /// counts in `runtime.max_session_bytes`, and they give way to new sessions there. Default 60.
+    pub resume_s: u32,
 }
 
 impl Default for SessionSection {
     fn default() -> Self {
         let SessionConfig { max_cache_entries, max_window_bytes, .. } = SessionConfig::default();
-        Self { max_cache_entries, max_window_bytes, max_bytes: SessionConfig::default().max_bytes, rest_after_s: 5 }
+        Self {
+            max_cache_entries,
+            max_window_bytes,
+            max_bytes: SessionConfig::default().max_bytes,
+            rest_after_s: 5,
+            resume_s: 60,
+        }
     }
 }
 
@@ -338,6 +350,9 @@ impl Config {
         if runtime.compute_threads.number().get() > 1024 {
             return refuse("runtime.compute_threads", "must be at most 1024");
         }
+        if self.session.resume_s > MAX_RESUME_S {
+            return refuse("session.resume_s", &format!("must be at most {MAX_RESUME_S}, a day"));
+        }
         if let Some(origin) = http.allowed_origins.iter().find(|origin| !is_origin(origin)) {
             return refuse(
                 "http.allowed_origins",
@@ -350,6 +365,7 @@ impl Config {
             max_connections: http.max_connections,
             max_sessions: runtime.max_sessions,
             max_session_bytes: runtime.max_session_bytes,
+            resume_for: seconds(self.session.resume_s),
             compute_threads: runtime.compute_threads.number(),
             reader_threads: NonZeroUsize::new(runtime.reader_threads as usize).unwrap_or(NonZeroUsize::MIN),
             header_timeout: seconds(http.header_timeout_s),
@@ -371,7 +387,7 @@ impl Config {
     /// # Errors
     /// [`ConfigError::Value`] names the first key whose value makes no sense.
     pub fn session(&self) -> Result<SessionConfig, ConfigError> {
-        let SessionSection { max_cache_entries, max_window_bytes, max_bytes, rest_after_s } = self.session;
+        let SessionSection { max_cache_entries, max_window_bytes, max_bytes, rest_after_s, .. } = self.session;
         if max_cache_entries > MAX_CACHE_ENTRIES {
             return Err(ConfigError::Value {
                 key: "session.max_cache_entries",
@@ -475,6 +491,9 @@ mod tests {
         config = Config::default();
         config.http.allowed_origins = vec!["https://a.org/".into()];
         assert!(config.settings().is_err());
+        config = Config::default();
+        config.session.resume_s = u32::MAX;
+        assert!(config.settings().unwrap_err().to_string().contains("session.resume_s must be at most 86400"));
         config = Config::default();
         config.session.max_cache_entries = u32::MAX;
         assert!(config.session().is_err());

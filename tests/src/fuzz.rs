@@ -6,12 +6,14 @@ use std::sync::Arc;
 use fastrand::Rng;
 use glam::DVec3;
 use lodestream_client::core::{ClientConfig, ClientSession};
+use lodestream_protocol::ids::{BatchSeq, Token};
 use lodestream_protocol::mesh::{Patch, Replica};
+use lodestream_protocol::message::{ClientMessage, Hello, PROTOCOL_VERSION, Resume, ServerMessage};
 use lodestream_protocol::op::{canonical_order, decode_base, encode_base};
 use lodestream_protocol::testing::base_meshes;
 use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
-use lodestream_protocol::wire;
+use lodestream_protocol::wire::{self, encode_client, encode_server};
 use lodestream_server::ingest::ingest_to_vec;
 use lodestream_server::ingest::read::testing::{Seeds, jpeg, png, seeds};
 use lodestream_server::ingest::read::{read_gltf, read_mesh_in_memory, read_obj, read_off, read_ply, read_stl};
@@ -186,7 +188,17 @@ fn client_case(rng: &mut Rng, sessions: &[Vec<Vec<u8>>]) {
     let bad = picks.map(|i| mutated(rng, &frames[i]));
     for frame in frames[..good].iter().chain(&bad).chain(&frames[good..]) {
         now = now + std::time::Duration::from_millis(5);
+        if rng.u8(0..6) == 0 {
+            client.handle_loss(now);
+        }
         while client.poll_transmit(now).is_some() {}
+        if rng.u8(0..6) == 0 {
+            let answer = encode_server(&ServerMessage::Resumed { token: Token([rng.u8(..); 16]) });
+            let answer = if rng.bool() { mutated(rng, &answer) } else { answer };
+            if client.handle_frame(now, &answer).is_err() {
+                break;
+            }
+        }
         if client.handle_frame(now, frame).is_err() {
             break;
         }
@@ -198,10 +210,23 @@ fn server_case(rng: &mut Rng, models: &[Arc<PackedModel>; 2], sessions: &[Vec<Ve
     let which = rng.usize(0..2);
     let frames = &sessions[which];
     let mut server = Session::new(models[which].clone(), SessionConfig::default());
+    if rng.u8(0..4) > 0 {
+        server.offer(Token([1; 16]));
+    }
     let mut now = Timestamp::default();
     for frame in frames.iter().take(rng.usize(1..12)) {
         now = now + std::time::Duration::from_millis(5);
-        let bytes = if rng.u8(0..3) == 0 { mutated(rng, frame) } else { frame.clone() };
+        let mut bytes = if rng.u8(0..3) == 0 { mutated(rng, frame) } else { frame.clone() };
+        if rng.u8(0..4) == 0 {
+            // The connection breaks, and who comes back claims anything.
+            if rng.u8(0..4) > 0 {
+                server.park();
+            }
+            bytes = claim(rng);
+            if rng.u8(0..3) == 0 {
+                bytes = mutated(rng, &bytes);
+            }
+        }
         if server.handle_frame(now, &bytes).is_err() {
             return;
         }
@@ -213,6 +238,19 @@ fn server_case(rng: &mut Rng, models: &[Arc<PackedModel>; 2], sessions: &[Vec<Ve
             }
         }
     }
+}
+
+/// A wish to go on with a session.
+fn claim(rng: &mut Rng) -> Vec<u8> {
+    let hello = Hello {
+        version: PROTOCOL_VERSION,
+        triangle_limit: rng.u32(..),
+        cache_entries: rng.bool().then(|| rng.u32(..)),
+        byte_rate: rng.bool().then(|| rng.u32(..)),
+    };
+    let received = [None, Some(rng.u32(0..6)), Some(rng.u32(0..6)), Some(rng.u32(..))][rng.usize(0..4)];
+    let token = Token(std::array::from_fn(|_| rng.u8(..)));
+    encode_client(&ClientMessage::Resume(Resume { hello, token, received: received.map(BatchSeq) }))
 }
 
 /// Patches of every topology and a larger one with colours, coded.

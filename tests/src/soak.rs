@@ -137,6 +137,9 @@ impl Soak {
             if rng.u32(0..12) == 0 && pair.client.stats().resets < 3 {
                 pair.damage_a_batch();
             }
+            if rng.u32(0..8) == 0 {
+                pair.cut();
+            }
             let path = path(&mut rng, model.info());
             let is_hurried = rng.u8(0..3) == 0;
             for view in &path {
@@ -144,6 +147,9 @@ impl Soak {
                 // Change one's mind in the middle.
                 if is_hurried {
                     pair.run(Duration::from_millis(rng.u64(0..120)));
+                    if rng.u32(0..6) == 0 {
+                        pair.cut();
+                    }
                 } else {
                     pair.settle();
                 }

@@ -176,7 +176,7 @@ impl SessionTrace {
             received.frame_bytes += frame.len() as u64;
             received.websocket_bytes += websocket_header(frame.len());
             match wire::decode_server(frame).expect("the server sends valid frames") {
-                ServerMessage::Welcome { model, cache_entries, base } => {
+                ServerMessage::Welcome { model, cache_entries, base, .. } => {
                     trace = Some(Self {
                         base: decode_base(&base, model.lattice.bits, model.has_colors).expect("the base decodes"),
                         base_bytes: base.len() as u64,
@@ -201,6 +201,7 @@ impl SessionTrace {
                 }
                 ServerMessage::Settled(_) => _ = first_view.get_or_insert(received),
                 ServerMessage::Restart => panic!("the two ends disagreed"),
+                ServerMessage::Resumed { .. } => panic!("a session that was not cut is none to resume"),
             }
         }
         let mut trace = trace.expect("a session begins with a welcome");

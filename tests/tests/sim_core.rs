@@ -167,6 +167,99 @@ fn a_session_that_rests_is_as_good_as_one_that_does_not() {
     }
 }
 
+/// A session whose connection breaks at any moment, again and again, leads its client to the same meshes as one whose never does:
+/// `Pair` compares batches sent again with what they were, and the client checks every digest and number.
+#[test]
+fn a_session_that_is_cut_goes_on_as_one_that_is_not() {
+    let (mut cuts, mut again) = (0, 0);
+    for (name, test) in every_model(Some(13)) {
+        let model = &test.model;
+        let (mut lost, mut resumed) = (0, 0);
+        for seed in 0..4 {
+            let mut rng = Rng::with_seed(700 + seed);
+            let mut config = PairConfig::default();
+            config.client.cache_entries = [None, Some(0), Some(20), Some(10_000)][seed as usize];
+            config.client.apply_on_arrival = true;
+            if seed > 0 {
+                let shape = LinkShape { bytes_per_sec: 60_000.0, latency: Duration::from_millis(30) };
+                (config.down, config.up) = (shape, shape);
+            }
+            let mut pair = Pair::new(model.clone(), config);
+            let mut whole = Pair::new(model.clone(), config);
+            for step in 0..10 {
+                let view = random_view(&mut rng, model.info());
+                whole.look(view.clone());
+                pair.look(view.clone());
+                let what = format!("{name} seed {seed} step {step}");
+                for _ in 0..rng.u32(0..6) {
+                    pair.run(Duration::from_micros(rng.u64(0..60_000)));
+                    pair.cut();
+                    if rng.bool() {
+                        // Again before anything could come.
+                        pair.run(Duration::from_millis(rng.u64(0..400)));
+                        pair.cut();
+                    }
+                }
+                pair.settle();
+                whole.settle();
+                whole.now = pair.now.max(whole.now);
+                pair.now = whole.now;
+                let set = |pair: &Pair| pair.server.applied_ops().iter().map(|a| a.0).collect::<BTreeSet<u32>>();
+                assert_eq!(set(&pair), set(&whole), "{what}");
+                assert_eq!(set(&pair), ops_for_view(model, &view), "{what}");
+                let mesh = |pair: &Pair| keyed(model, pair.client.replica().unwrap(), &pair.server.applied_ops());
+                assert_eq!(mesh(&pair), mesh(&whole), "{what}");
+            }
+            let stats = pair.client.stats();
+            assert_eq!((stats.resets, stats.dropped_batches), (0, 0), "{name} {seed}");
+            assert_eq!(pair.server.stats().resumes > 0, stats.resumed > 0, "{name} {seed}");
+            check_replica(pair.client.replica().unwrap()).unwrap_or_else(|e| panic!("{name} {seed}: {e}"));
+            (lost, resumed) = (lost + stats.connections_lost, resumed + stats.resumed);
+            again += pair.sent_again();
+        }
+        assert!(resumed > 20 && resumed <= lost, "{name}: {resumed} of {lost}");
+        cuts += lost;
+    }
+    assert!(cuts > 2000 && again > 100, "{cuts} cuts, {again} batches sent again");
+}
+
+/// A server that has forgotten the session gives a new one. Until it shows as much as the mesh from before, that one is shown.
+#[test]
+fn a_forgotten_session_begins_anew_behind_the_old_picture() {
+    let test = TestModel::new(meshes::colored_sphere(4), None);
+    let slow = LinkShape { bytes_per_sec: 20_000.0, latency: Duration::from_millis(20) };
+    let mut pair = Pair::new(test.model.clone(), PairConfig { down: slow, up: slow, ..PairConfig::default() });
+    let mut view = random_view(&mut Rng::with_seed(3), test.model.info());
+    (view.complete, view.triangle_limit, view.tolerance_px) = (true, UNLIMITED_TRIANGLES, 0.0);
+    pair.look(view);
+    pair.settle();
+    let (digest, generation) = (pair.client.replica().unwrap().digest(), pair.client.generation());
+    pair.client.replica_mut().unwrap().track_dirty();
+    pair.cut_and_forget();
+    let mut restarting = 0;
+    loop {
+        assert!(pair.step(Duration::from_millis(5)));
+        if pair.client.is_restarting() {
+            restarting += 1;
+            assert_eq!(pair.client.replica().unwrap().digest(), digest, "the old picture stays");
+            assert_eq!(pair.client.generation(), generation);
+            // Another break on the way changes nothing.
+            if restarting == 20 {
+                pair.cut();
+            }
+        } else if restarting > 0 {
+            break;
+        }
+    }
+    assert!(restarting > 40, "{restarting}");
+    assert_eq!(pair.client.generation(), generation + 1, "one new mesh, when it is as good");
+    assert!(pair.client.replica_mut().unwrap().dirty_mut().is_some());
+    pair.settle();
+    assert_eq!(pair.client.replica().unwrap().digest(), digest);
+    let stats = pair.client.stats();
+    assert_eq!((stats.connections_lost, stats.resumed, stats.restarted), (2, 1, 1));
+}
+
 /// Where pages are read ahead, they may arrive in any order and at any time: what settles is P* all the same, and the session
 /// never read a page itself, which `Pair` asserts after each of its calls.
 #[test]

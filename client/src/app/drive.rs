@@ -6,8 +6,9 @@ use std::time::Duration;
 use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::ViewError;
 
-use crate::core::{ClientError, ClientSession};
+use crate::core::{ClientError, ClientSession, Connectivity};
 use crate::net::native::{Connection, Event, NetError};
+use crate::net::target::Target;
 
 /// How long a server may say nothing at all while something is due from it.
 const SILENCE: Duration = Duration::from_secs(30);
@@ -58,6 +59,16 @@ pub enum DriveError {
     /// The connection failed.
     #[error(transparent)]
     Net(#[from] NetError),
+    /// The connection broke, and no other could be made in time.
+    #[error("{cause}; no way back within {} s: {last}", patience.as_secs())]
+    NoWayBack {
+        /// How it broke.
+        cause: NetError,
+        /// Why the last try failed.
+        last: NetError,
+        /// How long it was tried.
+        patience: Duration,
+    },
     /// The server's frames make no sense.
     #[error(transparent)]
     Session(#[from] ClientError),
@@ -69,7 +80,16 @@ pub enum DriveError {
     Silent,
 }
 
-/// Streams until `until`. `tick` is called before the first wait and after every event; it may set views and look at the
+/// Where to connect again when the connection breaks, and for how long to try.
+#[derive(Clone, Copy, Debug)]
+pub struct WayBack<'a> {
+    /// The stream.
+    pub target: &'a Target,
+    /// Time after which a broken connection is an error. Zero makes it one at once.
+    pub patience: Duration,
+}
+
+/// Streams until `until`. When the connection breaks it is made anew along `way_back`. `tick` is called before the first wait and after every event; it may set views and look at the
 /// session. The session must apply batches on arrival.
 ///
 /// # Errors
@@ -78,6 +98,7 @@ pub async fn drive(
     connection: &mut Connection,
     session: &mut ClientSession,
     until: Until,
+    way_back: WayBack<'_>,
     mut tick: impl FnMut(&mut ClientSession, Timestamp) -> Result<(), ViewError>,
 ) -> Result<(), DriveError> {
     let mut heard = connection.bytes_received();
@@ -107,15 +128,47 @@ pub async fn drive(
         };
         let retry = (!connection.may_send()).then_some(now + RETRY);
         let wakes = [end, retry.or(session.poll_timeout()), Some(heard_at + SILENCE)];
-        match connection.next(wakes.into_iter().flatten().min()).await? {
-            Event::Wake => {}
-            Event::Frame(delivery) => {
+        match connection.next(wakes.into_iter().flatten().min()).await {
+            Ok(Event::Wake) => {}
+            Err(error) if error.is_passing() && !way_back.patience.is_zero() => {
+                come_back(connection, session, way_back, error, &mut tick).await?;
+                (heard, heard_at) = (connection.bytes_received(), connection.now());
+            }
+            Err(error) => return Err(error.into()),
+            Ok(Event::Frame(delivery)) => {
                 if matches!(until, Until::Bytes(limit) if delivery.bytes_received > limit) {
                     return Ok(());
                 }
                 session.note_traffic(delivery.bytes_received, connection.bytes_sent());
                 session.handle_frame(connection.now(), &delivery.frame)?;
             }
+        }
+    }
+}
+
+/// Makes the connection anew, try after try.
+async fn come_back(
+    connection: &mut Connection,
+    session: &mut ClientSession,
+    way_back: WayBack<'_>,
+    cause: NetError,
+    tick: &mut impl FnMut(&mut ClientSession, Timestamp) -> Result<(), ViewError>,
+) -> Result<(), DriveError> {
+    connection.cut();
+    let end = connection.now() + way_back.patience;
+    loop {
+        session.handle_loss(connection.now());
+        tick(session, connection.now())?;
+        if let Connectivity::Reconnecting { next_try, .. } = session.connectivity() {
+            connection.sleep_until(next_try.min(end)).await;
+        }
+        match connection.reopen(way_back.target).await {
+            Ok(()) => return Ok(()),
+            Err(error) if !error.is_passing() => return Err(error.into()),
+            Err(last) if connection.now() >= end => {
+                return Err(DriveError::NoWayBack { cause, last, patience: way_back.patience });
+            }
+            Err(_) => {}
         }
     }
 }

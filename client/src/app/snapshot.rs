@@ -11,7 +11,7 @@ use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::ViewError;
 use serde::Serialize;
 
-use super::drive::{DriveError, Until, drive};
+use super::drive::{DriveError, Until, WayBack, drive};
 use super::file::{FileError, check_folder, write_aside};
 use super::ply::write_ply;
 use crate::camera::{Camera, Detail, Viewport};
@@ -42,6 +42,8 @@ pub struct SnapshotOptions {
     pub shape: LinkShape,
     /// When to stop.
     pub until: Until,
+    /// For how long to try to connect again when the connection breaks.
+    pub reconnect_for: Duration,
     /// PNG file for the image.
     pub output: Option<PathBuf>,
     /// PLY file for the mesh.
@@ -186,8 +188,11 @@ struct Streamed {
 }
 
 async fn stream(options: &SnapshotOptions) -> Result<Streamed, SnapshotError> {
-    let mut session =
-        ClientSession::new(ClientConfig { triangle_limit: options.detail.triangle_limit, ..ClientConfig::default() });
+    let mut session = ClientSession::new(ClientConfig {
+        triangle_limit: options.detail.triangle_limit,
+        reconnect_seed: fastrand::u64(..),
+        ..ClientConfig::default()
+    });
     let mut connection = Connection::open(&options.target, options.shape).await?;
     // A pose in hand goes out with the hello; framing the model has to wait for the welcome.
     let mut camera = options.pose.map(|(eye, target)| {
@@ -207,7 +212,8 @@ async fn stream(options: &SnapshotOptions) -> Result<Streamed, SnapshotError> {
         progress.show(now, session.stats());
         Ok(())
     };
-    let result = drive(&mut connection, &mut session, options.until, tick).await;
+    let way_back = WayBack { target: &options.target, patience: options.reconnect_for };
+    let result = drive(&mut connection, &mut session, options.until, way_back, tick).await;
     progress.clear();
     let elapsed = connection.now();
     match result {
@@ -261,6 +267,10 @@ impl fmt::Display for Outcome {
         let first = stats.first_image_ms.zip(stats.first_image_bytes);
         let first = first.map_or("none".into(), |(ms, bytes)| format!("{ms:.0} ms, {}", kilobytes(bytes)));
         writeln!(f, "first image {first}")?;
+        if stats.connections_lost > 0 {
+            let (resumed, restarted) = (stats.resumed, stats.restarted);
+            writeln!(f, "broken      {} times: {resumed} resumed, {restarted} begun anew", stats.connections_lost)?;
+        }
         if stats.resets > 0 {
             writeln!(f, "resets      {}", stats.resets)?;
         }

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 
+use lodestream_protocol::ids::BatchSeq;
 use lodestream_protocol::message::{Batch, Settled};
 
 /// Most messages that wait, whatever their size: a batch without ops still takes memory.
@@ -33,6 +34,19 @@ impl Inbox {
         let item = self.items.pop_front()?;
         self.bytes -= op_bytes(&item);
         Some(item)
+    }
+
+    /// The newest batch that has arrived, where `applied` are applied; `None` if nothing that is here or was applied is of use, because
+    /// a restart is still to come.
+    pub(super) fn received(&self, applied: BatchSeq, awaits_restart: bool) -> Option<BatchSeq> {
+        let restart = self.items.iter().rposition(|item| matches!(item, Item::Restart));
+        let (base, first) = match restart {
+            Some(restart) => (0, restart + 1),
+            None if awaits_restart => return None,
+            None => (applied.0, 0),
+        };
+        let batches = self.items.range(first..).filter(|item| matches!(item, Item::Batch(_))).count();
+        Some(BatchSeq(base.wrapping_add(u32::try_from(batches).unwrap_or(u32::MAX))))
     }
 
     pub(super) fn is_empty(&self) -> bool {

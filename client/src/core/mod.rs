@@ -1,6 +1,6 @@
 //! The client's half of a session, without I/O: frames go in, frames come out, time is an argument.
 //!
-//! A [`ClientSession`] holds the replica of one model over one connection. It decides nothing about refinement: it says
+//! A [`ClientSession`] holds the replica of one model over one connection, or over several if connections break. It decides nothing about refinement: it says
 //! what it looks at, applies what comes, and checks after every batch that both ends still hold the same mesh. It knows
 //! nothing of sockets, clocks or the GPU, and runs in the browser as it is.
 //!
@@ -8,23 +8,30 @@
 //! [`has_room`](ClientSession::has_room)), [`apply_ready`](ClientSession::apply_ready) if the session was told not to
 //! apply on arrival, [`poll_transmit`](ClientSession::poll_transmit) until it returns `None`, then it sleeps until
 //! something arrives or [`poll_timeout`](ClientSession::poll_timeout). Methods that change the session take the time;
-//! accessors do not.
+//! accessors do not. When the connection breaks, it calls [`handle_loss`](ClientSession::handle_loss), waits until the
+//! [time to try again](Connectivity::Reconnecting), and goes on with the new connection as with the old one; when that cannot be
+//! made, it calls [`handle_loss`](ClientSession::handle_loss) again.
 
 mod inbox;
+mod reconnect;
 mod stats;
 
 use std::time::Duration;
 
-use lodestream_protocol::ids::{BatchSeq, ViewSeq};
+use lodestream_protocol::ids::{BatchSeq, Token, ViewSeq};
 use lodestream_protocol::limits::{MAX_CACHE_ENTRIES, MAX_TEXT_BYTES};
 use lodestream_protocol::mesh::{Patch, PatchError, Replica};
-use lodestream_protocol::message::{Batch, ClientMessage, Hello, ModelInfo, PROTOCOL_VERSION, ServerMessage, Settled};
+use lodestream_protocol::message::{
+    Batch, ClientMessage, Hello, ModelInfo, PROTOCOL_VERSION, Resume, ServerMessage, Settled,
+};
 use lodestream_protocol::op::{OpState, PatchDecodeError, decode_base, decode_batch};
 use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::{View, ViewError};
 use lodestream_protocol::wire::{self, WireError};
 
 use inbox::{Inbox, Item};
+use reconnect::Backoff;
+pub use reconnect::Connectivity;
 pub use stats::{FIRST_IMAGE_TRIANGLES, Stats};
 
 /// Resets after which the session gives up, unless enough batches went well in between.
@@ -49,6 +56,8 @@ pub struct ClientConfig {
     /// Bytes of ops in the inbox from which on [`ClientSession::has_room`] is false. A frame that arrives below the mark
     /// is taken whole.
     pub inbox_bytes: usize,
+    /// What the waits before a broken connection is made anew are drawn from. Clients should have seeds of their own.
+    pub reconnect_seed: u64,
 }
 
 impl Default for ClientConfig {
@@ -60,6 +69,7 @@ impl Default for ClientConfig {
             view_interval: Duration::from_millis(33),
             apply_on_arrival: true,
             inbox_bytes: 4 << 20,
+            reconnect_seed: 0,
         }
     }
 }
@@ -116,7 +126,16 @@ struct CurrentView {
 #[derive(Debug)]
 pub struct ClientSession {
     config: ClientConfig,
+    connectivity: Connectivity,
+    backoff: Backoff,
     is_hello_sent: bool,
+    /// Whether the server's first word on this connection is still to come, and whether it may be that the session goes on.
+    awaits_answer: bool,
+    may_resume: bool,
+    /// The newest that the server gave.
+    token: Option<Token>,
+    /// The mesh from before a session that had to begin anew, until the new one is as good.
+    kept: Option<Model>,
     current: Option<CurrentView>,
     view_sent_at: Option<Timestamp>,
     model: Option<Model>,
@@ -143,7 +162,13 @@ impl ClientSession {
     pub fn new(config: ClientConfig) -> Self {
         Self {
             config,
+            connectivity: Connectivity::default(),
+            backoff: Backoff::new(config.reconnect_seed),
             is_hello_sent: false,
+            awaits_answer: true,
+            may_resume: false,
+            token: None,
+            kept: None,
             current: None,
             view_sent_at: None,
             model: None,
@@ -193,9 +218,20 @@ impl ClientSession {
         let message = wire::decode_server(frame)?;
         self.stats.frames += 1;
         match message {
-            ServerMessage::Welcome { .. } if self.model.is_some() => return Err(ClientError::OutOfTurn("a welcome")),
-            ServerMessage::Welcome { model, cache_entries, base } => self.begin(now, model, cache_entries, &base)?,
-            _ if self.model.is_none() => return Err(ClientError::OutOfTurn("something before its welcome")),
+            ServerMessage::Welcome { .. } if !self.awaits_answer => return Err(ClientError::OutOfTurn("a welcome")),
+            ServerMessage::Welcome { model, cache_entries, token, base } => {
+                self.begin(now, model, cache_entries, &base)?;
+                self.token = token;
+            }
+            ServerMessage::Resumed { .. } if !(self.awaits_answer && self.may_resume) => {
+                return Err(ClientError::OutOfTurn("a resumption"));
+            }
+            ServerMessage::Resumed { token } => {
+                self.token = Some(token);
+                self.answered(Connectivity::Resumed);
+                self.stats.resumed += 1;
+            }
+            _ if self.awaits_answer => return Err(ClientError::OutOfTurn("something before its welcome")),
             ServerMessage::Batch(batch) => self.inbox.push(Item::Batch(batch)),
             ServerMessage::Settled(settled) => self.inbox.push(Item::Settled(settled)),
             ServerMessage::Restart => self.inbox.push(Item::Restart),
@@ -227,6 +263,39 @@ impl ClientSession {
         Ok(ops)
     }
 
+    /// The connection broke, or one could not be made. What has arrived stays, and so does the mesh; what was to be said is said
+    /// anew over the next connection, which begins with [`poll_transmit`](Self::poll_transmit) once it is open.
+    pub fn handle_loss(&mut self, now: Timestamp) {
+        let is_first = !matches!(self.connectivity, Connectivity::Reconnecting { .. });
+        self.stats.connections_lost += u32::from(is_first && self.model.is_some());
+        self.connectivity = self.backoff.next(now);
+        self.is_hello_sent = false;
+        self.awaits_answer = true;
+        self.may_resume = false;
+        // What the claim names counts as acknowledged, and it says whether a restart is wanted.
+        self.ack_due = None;
+        self.reset_due = None;
+        self.view_sent_at = None;
+        if let Some(current) = &mut self.current {
+            current.is_sent = false;
+        }
+    }
+
+    /// How the session stands with its server.
+    pub fn connectivity(&self) -> Connectivity {
+        self.connectivity
+    }
+
+    /// Whether the session went on after its connection broke the last time.
+    pub fn is_resumed(&self) -> bool {
+        self.connectivity == Connectivity::Resumed
+    }
+
+    /// Whether the session had to begin anew and the mesh from before is still shown, as it is better.
+    pub fn is_restarting(&self) -> bool {
+        self.kept.is_some()
+    }
+
     /// Whether [`handle_frame`](Self::handle_frame) takes another frame. A driver stops reading while it does not.
     pub fn has_room(&self) -> bool {
         self.inbox.has_room(self.config.inbox_bytes)
@@ -248,12 +317,20 @@ impl ClientSession {
             let ClientConfig { triangle_limit, cache_entries, byte_rate, .. } = self.config;
             let cache_entries = cache_entries.map(|entries| entries.min(MAX_CACHE_ENTRIES));
             let hello = Hello { version: PROTOCOL_VERSION, triangle_limit, cache_entries, byte_rate };
-            return Some(ClientMessage::Hello(hello));
+            let Some(token) = self.token.filter(|_| self.model.is_some()) else {
+                return Some(ClientMessage::Hello(hello));
+            };
+            self.may_resume = true;
+            // The claim says both.
+            (self.ack_due, self.reset_due) = (None, None);
+            let received = self.inbox.received(self.applied, self.awaits_restart);
+            return Some(ClientMessage::Resume(Resume { hello, token, received }));
         }
-        if let Some(seq) = self.ack_due.take() {
+        // Before the server has said whether the session goes on, the numbers of batches may mean nothing to it.
+        if let Some(seq) = self.ack_due.take_if(|_| !self.awaits_answer) {
             return Some(ClientMessage::Ack { seq });
         }
-        if let Some(seq) = self.reset_due.take() {
+        if let Some(seq) = self.reset_due.take_if(|_| !self.awaits_answer) {
             return Some(ClientMessage::Reset { seq });
         }
         let is_due = self.poll_timeout().is_some_and(|at| at <= now);
@@ -277,17 +354,22 @@ impl ClientSession {
         self.stats.bytes_sent = bytes_sent;
     }
 
-    /// The mesh, once the server has sent the base.
+    /// The mesh to show, once the server has sent the base: while the session [restarts](Self::is_restarting), the one from before.
     pub fn replica(&self) -> Option<&Replica> {
-        self.model.as_ref().map(|model| model.state.replica())
+        self.shown().map(|model| model.state.replica())
     }
 
-    /// The mesh, for dirty tracking.
+    /// That mesh, for dirty tracking.
     pub fn replica_mut(&mut self) -> Option<&mut Replica> {
-        self.model.as_mut().map(|model| model.state.replica_mut())
+        self.kept.as_mut().or(self.model.as_mut()).map(|model| model.state.replica_mut())
     }
 
-    /// Counts the bases: 0 before the welcome, then one more with each restart. When it changes, the replica is a new one
+    fn shown(&self) -> Option<&Model> {
+        self.kept.as_ref().or(self.model.as_ref())
+    }
+
+    /// Counts the meshes shown: 0 before the welcome, then one more with each restart, and where the mesh from before gives way to
+    /// that of a session that began anew. When it changes, the replica is a new one
     /// and whoever holds a copy must begin again; dirty tracking goes on if it was on, with all of the base touched.
     pub fn generation(&self) -> u32 {
         self.generation
@@ -295,7 +377,7 @@ impl ClientSession {
 
     /// What the server says about the model.
     pub fn model(&self) -> Option<&ModelInfo> {
-        self.model.as_ref().map(|model| &model.info)
+        self.shown().map(|model| &model.info)
     }
 
     /// Entries of the mirrored op cache that the server granted.
@@ -331,10 +413,55 @@ impl ClientSession {
         let base = decode_base(base, info.lattice.bits, info.has_colors)?;
         let state = OpState::new(&base, info.lattice.bits, info.has_colors, info.has_moves, cache_entries)?
             .with_step(info.visual_step);
-        self.model = Some(Model { info, base, cache_entries, state });
-        self.generation = self.generation.wrapping_add(1);
+        let model = Model { info, base, cache_entries, state };
+        let before = self.model.replace(model);
+        self.inbox = Inbox::default();
+        self.applied = BatchSeq(0);
+        (self.limit, self.lambda_px) = (None, None);
+        self.awaits_restart = false;
+        (self.ack_due, self.reset_due) = (None, None);
+        self.batches_since_reset = 0;
+        self.applied_view = None;
+        match before {
+            None => {
+                self.generation = self.generation.wrapping_add(1);
+                self.answered(Connectivity::Connected);
+            }
+            Some(before) => {
+                self.stats.restarted += 1;
+                // One that was kept already is the better one.
+                self.kept.get_or_insert(before);
+                self.answered(Connectivity::Restarting);
+                self.unsettle();
+            }
+        }
         self.note_mesh(now);
         Ok(())
+    }
+
+    fn answered(&mut self, connectivity: Connectivity) {
+        self.awaits_answer = false;
+        self.connectivity = connectivity;
+        self.backoff.succeed();
+    }
+
+    /// Shows the new mesh if it is as good as the one from before, as far as can be told here: what the view asks for, or as many
+    /// triangles. A mesh of another model goes at once.
+    fn compare(&mut self) {
+        let (Some(kept), Some(model)) = (&self.kept, &self.model) else { return };
+        let is_same = kept.info.hash == model.info.hash && kept.info.lattice == model.info.lattice;
+        let is_as_large = model.state.replica().triangle_count() >= kept.state.replica().triangle_count();
+        if is_same && self.settled.is_none() && !is_as_large {
+            return;
+        }
+        let is_tracked = self.kept.take().is_some_and(|mut kept| kept.state.replica_mut().dirty_mut().is_some());
+        if let Some(model) = self.model.as_mut().filter(|_| is_tracked) {
+            model.state.replica_mut().track_dirty();
+        }
+        self.generation = self.generation.wrapping_add(1);
+        if self.connectivity == Connectivity::Restarting {
+            self.connectivity = Connectivity::Connected;
+        }
     }
 
     fn restart(&mut self, now: Timestamp) -> Result<(), ClientError> {
@@ -345,7 +472,9 @@ impl ClientSession {
         if is_tracked {
             state.replica_mut().track_dirty();
         }
-        self.generation = self.generation.wrapping_add(1);
+        if self.kept.is_none() {
+            self.generation = self.generation.wrapping_add(1);
+        }
         self.awaits_restart = false;
         self.applied = BatchSeq(0);
         (self.limit, self.lambda_px) = (None, None);
@@ -435,6 +564,7 @@ impl ClientSession {
     }
 
     fn note_mesh(&mut self, now: Timestamp) {
+        self.compare();
         let Some(model) = &self.model else { return };
         let replica = model.state.replica();
         self.stats.note_mesh(now, replica.vertex_count(), replica.triangle_count());

@@ -58,6 +58,12 @@ pub struct Stats {
     pub views: u64,
     /// How often the server was asked to begin again because the two ends disagreed.
     pub resets: u32,
+    /// How often the connection broke, how often the session went on after that, and how often it had to begin anew.
+    pub connections_lost: u32,
+    /// See `connections_lost`.
+    pub resumed: u32,
+    /// See `connections_lost`.
+    pub restarted: u32,
     /// Batches that arrived between such a request and its answer.
     pub dropped_batches: u64,
 }

@@ -1,10 +1,11 @@
 use glam::DVec3;
+use lodestream_protocol::ids::ModelHash;
 use lodestream_protocol::message::ClientMessage;
 use lodestream_protocol::testing::check_replica;
 use lodestream_protocol::wire::{decode_client, encode_server};
 
 use super::*;
-use crate::fake_server::FakeServer;
+use crate::fake_server::{FakeServer, TOKEN};
 
 fn at(ms: u64) -> Timestamp {
     Timestamp(Duration::from_millis(ms))
@@ -221,13 +222,13 @@ fn frames_that_make_no_sense_end_the_session() {
     assert!(matches!(fails(&[200, 1, 2]), ClientError::Wire(_)));
     assert!(matches!(fails(&server.batch(ViewSeq(1), 1)), ClientError::OutOfTurn(_)));
     let welcome = |change: &dyn Fn(&mut ModelInfo, &mut u32, &mut Vec<u8>)| {
-        let ServerMessage::Welcome { mut model, mut cache_entries, mut base } =
+        let ServerMessage::Welcome { mut model, mut cache_entries, mut base, .. } =
             wire::decode_server(&FakeServer::new().welcome()).unwrap()
         else {
             unreachable!("it is a welcome")
         };
         change(&mut model, &mut cache_entries, &mut base);
-        fails(&encode_server(&ServerMessage::Welcome { model, cache_entries, base }))
+        fails(&encode_server(&ServerMessage::Welcome { model, cache_entries, token: None, base }))
     };
     assert!(matches!(welcome(&|m, _, _| m.lattice.step = f64::NAN), ClientError::BadModel("lattice")));
     assert!(matches!(welcome(&|m, _, _| m.lattice.bits = 200), ClientError::BadModel("lattice")));
@@ -259,4 +260,155 @@ fn a_slow_renderer_applies_within_its_allowance_and_stops_the_reader() {
     assert!(!session.has_ready() && session.has_room());
     assert_eq!(session.stats().batches, frames);
     assert_equal(&session, &server);
+}
+
+fn resumed() -> Vec<u8> {
+    encode_server(&ServerMessage::Resumed { token: Token([9; 16]) })
+}
+
+/// The claim of the first message after a loss, and whether the view follows.
+fn claim(session: &mut ClientSession, now: Timestamp) -> (Token, Option<BatchSeq>) {
+    let messages = sent(session, now);
+    assert!(matches!(messages[1..], [ClientMessage::View { seq: ViewSeq(1), .. }]), "{messages:?}");
+    match messages[0] {
+        ClientMessage::Resume(Resume { hello, token, received }) => {
+            assert_eq!(hello.version, PROTOCOL_VERSION);
+            (token, received)
+        }
+        ref other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn a_broken_connection_is_made_anew_and_the_session_goes_on() {
+    let (mut session, mut server) = welcomed(ClientConfig::default());
+    assert_eq!(session.connectivity(), Connectivity::Connected);
+    for _ in 0..3 {
+        session.handle_frame(at(20), &server.batch(ViewSeq(1), 20)).unwrap();
+    }
+    // A batch that the client has not got yet, and the acknowledgement of those before does not go out.
+    let late = server.batch(ViewSeq(1), 20);
+    session.handle_loss(at(30));
+    let Connectivity::Reconnecting { attempt: 1, next_try } = session.connectivity() else { panic!() };
+    assert!(next_try > at(30) && session.replica().is_some());
+    session.handle_loss(next_try);
+    assert!(matches!(session.connectivity(), Connectivity::Reconnecting { attempt: 2, .. }));
+    assert_eq!(claim(&mut session, at(2000)), (TOKEN, Some(BatchSeq(3))));
+    assert!(
+        matches!(session.handle_frame(at(2001), &late), Err(ClientError::OutOfTurn(_))),
+        "nothing before the answer"
+    );
+    session.handle_frame(at(2002), &resumed()).unwrap();
+    assert!(session.is_resumed() && !session.is_restarting());
+    session.handle_frame(at(2003), &late).unwrap();
+    assert_equal(&session, &server);
+    assert_eq!(sent(&mut session, at(2003)), [ClientMessage::Ack { seq: BatchSeq(4) }]);
+    let stats = session.stats();
+    assert_eq!((stats.connections_lost, stats.resumed, stats.restarted, stats.resets), (1, 1, 0, 0));
+    assert_eq!(session.generation(), 1, "the same mesh all along");
+    // The newest token is shown the next time.
+    session.handle_loss(at(3000));
+    assert_eq!(claim(&mut session, at(4000)), (Token([9; 16]), Some(BatchSeq(4))));
+    assert!(matches!(session.connectivity(), Connectivity::Reconnecting { attempt: 1, .. }));
+}
+
+#[test]
+fn what_waits_in_the_inbox_has_arrived() {
+    let (mut session, mut server) = welcomed(ClientConfig { apply_on_arrival: false, ..ClientConfig::default() });
+    for _ in 0..5 {
+        session.handle_frame(at(20), &server.batch(ViewSeq(1), 5)).unwrap();
+    }
+    session.apply_ready(at(21), 1).unwrap();
+    session.handle_loss(at(30));
+    session.apply_ready(at(31), 1).unwrap();
+    assert_eq!(claim(&mut session, at(1000)).1, Some(BatchSeq(5)));
+    session.handle_frame(at(1001), &resumed()).unwrap();
+    session.handle_frame(at(1002), &server.batch(ViewSeq(1), 5)).unwrap();
+    session.apply_ready(at(1003), u32::MAX).unwrap();
+    assert_equal(&session, &server);
+}
+
+#[test]
+fn a_client_that_waits_for_a_restart_claims_nothing() {
+    let (mut session, mut server) = welcomed(ClientConfig::default());
+    session.handle_frame(at(20), &server.batch(ViewSeq(1), 5)).unwrap();
+    let mut bad = server.batch_message(ViewSeq(1), false, 5);
+    bad.digest ^= 1;
+    session.handle_frame(at(21), &encode_server(&ServerMessage::Batch(bad))).unwrap();
+    session.handle_loss(at(30));
+    assert_eq!(claim(&mut session, at(1000)).1, None);
+    session.handle_frame(at(1001), &resumed()).unwrap();
+    session.handle_frame(at(1002), &server.restart()).unwrap();
+    session.handle_frame(at(1003), &server.batch(ViewSeq(1), 5)).unwrap();
+    assert_equal(&session, &server);
+    assert_eq!(session.stats().resets, 1);
+}
+
+#[test]
+fn a_client_that_has_nothing_says_hello() {
+    let mut session = ClientSession::new(ClientConfig::default());
+    session.set_view(at(0), view(0.0)).unwrap();
+    sent(&mut session, at(0));
+    session.handle_loss(at(5));
+    assert!(matches!(sent(&mut session, at(1000))[..], [ClientMessage::Hello(_), ClientMessage::View { .. }]));
+    assert!(matches!(session.handle_frame(at(1001), &resumed()), Err(ClientError::OutOfTurn("a resumption"))));
+    assert_eq!(session.stats().connections_lost, 0, "there was none yet");
+    // Nor may a server resume what was not asked for, or welcome twice.
+    let (mut session, server) = welcomed(ClientConfig::default());
+    assert!(session.handle_frame(at(11), &resumed()).is_err());
+    assert!(session.handle_frame(at(11), &server.welcome()).is_err());
+}
+
+#[test]
+fn the_old_picture_stays_until_the_new_one_is_as_good() {
+    let (mut session, mut server) = welcomed(ClientConfig::default());
+    for _ in 0..5 {
+        session.handle_frame(at(20), &server.batch(ViewSeq(1), 50)).unwrap();
+    }
+    session.replica_mut().unwrap().track_dirty();
+    session.replica_mut().unwrap().dirty_mut().unwrap().clear();
+    let (digest, triangles) = (server.replica().digest(), server.replica().triangle_count());
+    let lose = |session: &mut ClientSession, ms| {
+        session.handle_loss(at(ms));
+        sent(session, at(ms + 500));
+    };
+    lose(&mut session, 30);
+    // The server was started anew.
+    let mut server = FakeServer::new();
+    session.handle_frame(at(600), &server.welcome()).unwrap();
+    assert_eq!(session.connectivity(), Connectivity::Restarting);
+    while server.replica().triangle_count() + 8 < triangles {
+        session.handle_frame(at(601), &server.batch(ViewSeq(1), 4)).unwrap();
+        assert!(session.is_restarting());
+        assert_eq!((session.replica().unwrap().digest(), session.generation()), (digest, 1));
+    }
+    session.handle_frame(at(602), &server.batch(ViewSeq(1), 4)).unwrap();
+    assert_equal(&session, &server);
+    assert_eq!((session.generation(), session.connectivity()), (2, Connectivity::Connected));
+    let dirty = session.replica_mut().unwrap().dirty_mut().expect("tracking goes on");
+    assert!(!dirty.vertex_ranges(0).is_empty(), "all of it is new to whoever holds a copy");
+
+    // What the view asks for is good enough, however little it is.
+    lose(&mut session, 1000);
+    let mut server = FakeServer::new();
+    session.handle_frame(at(1600), &server.welcome()).unwrap();
+    session.handle_frame(at(1601), &server.batch(ViewSeq(1), 4)).unwrap();
+    assert!(session.is_restarting());
+    session.handle_frame(at(1602), &server.settled(ViewSeq(1))).unwrap();
+    assert!(!session.is_restarting());
+    assert_equal(&session, &server);
+
+    // Another model takes its place at once.
+    lose(&mut session, 2000);
+    let server = FakeServer::new();
+    let ServerMessage::Welcome { mut model, cache_entries, token, base } =
+        lodestream_protocol::wire::decode_server(&server.welcome()).unwrap()
+    else {
+        panic!("a welcome");
+    };
+    model.hash = ModelHash(77);
+    let welcome = encode_server(&ServerMessage::Welcome { model, cache_entries, token, base });
+    session.handle_frame(at(2600), &welcome).unwrap();
+    assert_equal(&session, &server);
+    assert_eq!(session.model().unwrap().hash, ModelHash(77));
 }

@@ -100,6 +100,21 @@ pub enum NetError {
     BadFrame(String),
 }
 
+impl NetError {
+    /// Whether another connection may do better: this one broke, or the server was away, busy, or about to end. Otherwise somebody
+    /// decided that the session is over.
+    pub fn is_passing(&self) -> bool {
+        const PASSING: [CloseCode; 2] = [CloseCode::GoingAway, CloseCode::Timeout];
+        match self {
+            Self::Unreachable { .. } | Self::OpenTimeout { .. } | Self::Lost(_) => true,
+            Self::Closed { code, .. } => CloseCode::from_number(*code).is_some_and(|code| PASSING.contains(&code)),
+            // Unavailable, and what proxies say when the server behind them is away.
+            Self::Refused { status, .. } => [502, 503, 504].contains(status),
+            Self::NoSuchModel(_) | Self::Handshake(_) | Self::BadFrame(_) => false,
+        }
+    }
+}
+
 fn closing_words(code: u16, reason: &str) -> String {
     let name = CloseCode::from_number(code).map_or(String::new(), |code| format!("{code:?}, "));
     match reason {
@@ -131,7 +146,8 @@ type Socket = WebSocketStream<Counted<Shaped<TcpStream>>>;
 /// One WebSocket connection. See the module.
 #[derive(Debug)]
 pub struct Connection {
-    socket: Socket,
+    /// `None` between [`cut`](Connection::cut) and the next one.
+    socket: Option<Socket>,
     start: Instant,
     shape: LinkShape,
     /// Frames to send.
@@ -143,6 +159,8 @@ pub struct Connection {
     delivered_end: u64,
     /// Whether the server is known to be gone: what it said before is still to be read.
     is_over: bool,
+    /// Bytes that came and went through the sockets before this one.
+    earlier: [u64; 2],
 }
 
 impl Connection {
@@ -153,13 +171,10 @@ impl Connection {
     /// [`NetError`]; nothing is left open.
     pub async fn open(target: &Target, shape: LinkShape) -> Result<Self, NetError> {
         let start = Instant::now();
-        let limit = OPEN_TIMEOUT + shape.latency * 4 + shape.stalls.map_or(Duration::ZERO, |stalls| stalls.length * 2);
-        let socket = timeout(limit, upgrade(target, &shape, start))
-            .await
-            .map_err(|_| NetError::OpenTimeout { authority: target.authority(), seconds: limit.as_secs() })??;
+        let socket = open(target, &shape, start).await?;
         let delivered_end = socket.get_ref().head_received();
         Ok(Self {
-            socket,
+            socket: Some(socket),
             start,
             shape,
             queue: VecDeque::new(),
@@ -167,12 +182,41 @@ impl Connection {
             stuck_since: None,
             delivered_end,
             is_over: false,
+            earlier: [0; 2],
         })
+    }
+
+    /// Lets go of the socket without a goodbye, as if the connection broke. What was to be sent is forgotten.
+    pub fn cut(&mut self) {
+        self.earlier = [self.bytes_received(), self.bytes_sent()];
+        self.socket = None;
+        self.queue.clear();
+        self.queued_bytes = 0;
+        self.stuck_since = None;
+        self.is_over = false;
+    }
+
+    /// Connects again after the connection broke, or was [cut](Self::cut): the clock and the counts go on.
+    ///
+    /// # Errors
+    /// [`NetError`]; there is no connection then, and another try may be made.
+    pub async fn reopen(&mut self, target: &Target) -> Result<(), NetError> {
+        self.cut();
+        let socket = open(target, &self.shape, self.start).await?;
+        // What came of a frame that broke off came all the same.
+        self.delivered_end = self.earlier[0] + socket.get_ref().head_received();
+        self.socket = Some(socket);
+        Ok(())
     }
 
     /// Time since [`open`](Self::open) was called.
     pub fn now(&self) -> Timestamp {
         Timestamp(self.start.elapsed())
+    }
+
+    /// Waits until then.
+    pub async fn sleep_until(&self, at: Timestamp) {
+        sleep_until(self.start + at.0).await;
     }
 
     /// Whether [`send`](Self::send) may be called: its queue is bounded.
@@ -212,20 +256,21 @@ impl Connection {
 
     /// Bytes that came out of the link so far; the last of them may belong to a frame that is not complete.
     pub fn bytes_received(&self) -> u64 {
-        self.socket.get_ref().received()
+        self.earlier[0] + self.socket.as_ref().map_or(0, |socket| socket.get_ref().received())
     }
 
     /// Bytes that went into the link so far.
     pub fn bytes_sent(&self) -> u64 {
-        self.socket.get_ref().sent()
+        self.earlier[1] + self.socket.as_ref().map_or(0, |socket| socket.get_ref().sent())
     }
 
     /// Says goodbye and waits until that has gone out. What is still on the way here is lost, which is no error.
-    pub async fn close(mut self, code: CloseCode) {
+    pub async fn close(self, code: CloseCode) {
+        let Some(mut socket) = self.socket else { return };
         let frame = CloseFrame { code: (code as u16).into(), reason: "".into() };
         let goodbye = async {
-            self.socket.close(Some(frame)).await?;
-            poll_fn(|cx| Pin::new(self.socket.get_mut()).poll_shutdown(cx)).await?;
+            socket.close(Some(frame)).await?;
+            poll_fn(|cx| Pin::new(socket.get_mut()).poll_shutdown(cx)).await?;
             Ok::<(), tungstenite::Error>(())
         };
         let _ = timeout(CLOSE_TIMEOUT + self.shape.latency, goodbye).await;
@@ -234,7 +279,8 @@ impl Connection {
     fn poll_delivery(&mut self, cx: &mut Context<'_>) -> Poll<Result<Delivery, NetError>> {
         loop {
             self.poll_send(cx)?;
-            let Some(message) = ready!(Pin::new(&mut self.socket).poll_next(cx)) else {
+            let next = self.socket.as_mut().map(|socket| Pin::new(socket).poll_next(cx));
+            let Some(message) = ready!(next.unwrap_or(Poll::Ready(None))) else {
                 return Poll::Ready(Err(NetError::Lost("it ended".into())));
             };
             let message = message.map_err(broken)?;
@@ -286,7 +332,8 @@ impl Connection {
 
     /// Sends one frame, or what was not sent of those before. `false` if there is nothing more to send.
     fn poll_send_one(&mut self, cx: &mut Context<'_>) -> Poll<Result<bool, tungstenite::Error>> {
-        let mut socket = Pin::new(&mut self.socket);
+        let Some(socket) = self.socket.as_mut() else { return Poll::Ready(Ok(false)) };
+        let mut socket = Pin::new(socket);
         ready!(socket.as_mut().poll_ready(cx))?;
         ready!(socket.as_mut().poll_flush(cx))?;
         let Some(frame) = self.queue.pop_front() else { return Poll::Ready(Ok(false)) };
@@ -312,6 +359,13 @@ fn payload_bytes(message: &Message) -> usize {
 pub fn block_on<F: Future>(future: F) -> io::Result<F::Output> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build()?;
     Ok(runtime.block_on(future))
+}
+
+async fn open(target: &Target, shape: &LinkShape, start: Instant) -> Result<Socket, NetError> {
+    let limit = OPEN_TIMEOUT + shape.latency * 4 + shape.stalls.map_or(Duration::ZERO, |stalls| stalls.length * 2);
+    timeout(limit, upgrade(target, shape, start))
+        .await
+        .map_err(|_| NetError::OpenTimeout { authority: target.authority(), seconds: limit.as_secs() })?
 }
 
 async fn connect(target: &Target, shape: &LinkShape) -> io::Result<TcpStream> {
@@ -354,6 +408,11 @@ async fn upgrade(target: &Target, shape: &LinkShape, start: Instant) -> Result<S
             let body = response.body().as_deref().unwrap_or_default();
             let reason = printable(&String::from_utf8_lossy(body));
             Err(NetError::Refused { status: response.status().as_u16(), reason })
+        }
+        // The server, or something on the way, went before it had answered.
+        Err(tungstenite::Error::Io(error)) => Err(NetError::Lost(error.to_string())),
+        Err(tungstenite::Error::Protocol(ProtocolError::HandshakeIncomplete)) => {
+            Err(NetError::Lost("it ended before the server answered".into()))
         }
         Err(error) => Err(NetError::Handshake(error.to_string())),
     }

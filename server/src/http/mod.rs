@@ -24,7 +24,7 @@ pub use models::{ModelEntry, ModelStatus, Models, OpenError};
 pub use serve::{Drained, bind, serve};
 pub use viewer::Viewer;
 
-use crate::runtime::{Admission, DriverSettings, Memory, Metrics, PageReader, Pool, Shutdown, Workers};
+use crate::runtime::{Admission, DriverSettings, Memory, Metrics, PageReader, Parking, Pool, Shutdown, Workers};
 
 /// What bounds the server.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -37,6 +37,8 @@ pub struct Settings {
     pub max_sessions: u32,
     /// Memory that all sessions may hold, in bytes; more sessions are refused then.
     pub max_session_bytes: u64,
+    /// How long a session whose connection broke is kept for its client; zero keeps none. At most `max_sessions` are kept.
+    pub resume_for: Duration,
     /// Threads that compute.
     pub compute_threads: NonZeroUsize,
     /// Threads that read pages.
@@ -82,7 +84,9 @@ impl App {
         let pool = Pool::new(settings.compute_threads, 2 * settings.max_sessions as usize)?;
         let reader = PageReader::new(settings.reader_threads)?;
         let memory = Memory::new(settings.max_session_bytes);
-        let workers = Workers { pool, reader, metrics: Arc::new(Metrics::new()), memory };
+        let metrics = Arc::new(Metrics::new());
+        let parking = Parking::new(settings.resume_for, settings.max_sessions, Arc::clone(&metrics));
+        let workers = Workers { pool, reader, metrics, memory, parking };
         let admission = Admission::new(settings.max_sessions);
         Ok(Arc::new(Self { models, workers, admission, shutdown, settings, viewer }))
     }

@@ -10,7 +10,7 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
-use tokio::time::sleep;
+use tokio::time::{Instant, interval, sleep};
 
 use super::{App, router};
 use crate::runtime::Shutdown;
@@ -20,6 +20,9 @@ const MAX_REQUEST_HEAD_BYTES: usize = 16 << 10;
 
 /// Pause after the operating system refused a connection, for want of file descriptors in most cases.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
+
+/// Between two looks for parked sessions whose time is over.
+const EXPIRY_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Whether everything ended by the deadline of a shutdown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,10 +55,12 @@ pub async fn serve(listener: TcpListener, app: Arc<App>) -> Drained {
     let max_connections = app.settings.max_connections;
     let places = Arc::new(Semaphore::new(max_connections as usize));
     let router = router(Arc::clone(&app));
+    let mut expiring = std::pin::pin!(expire(&app));
     loop {
         let (stream, peer, place) = tokio::select! {
             biased;
             () = app.shutdown.triggered() => break,
+            () = &mut expiring => break,
             accepted = accept(&listener, &places) => accepted,
         };
         // Batches are small and the client waits for each: none may wait for the next to fill a segment.
@@ -67,6 +72,7 @@ pub async fn serve(listener: TcpListener, app: Arc<App>) -> Drained {
         tokio::spawn(connection(stream, router, app.settings.header_timeout, app.shutdown.clone(), place));
     }
     drop(listener);
+    app.workers.parking.close();
     let all_closed = async {
         let _ = places.acquire_many(max_connections).await;
         app.admission.wait_empty().await;
@@ -75,6 +81,15 @@ pub async fn serve(listener: TcpListener, app: Arc<App>) -> Drained {
         () = all_closed => Drained::Completely,
         () = sleep(app.settings.shutdown_deadline) => Drained::Partly { sessions: app.admission.active() },
         () = app.shutdown.hurried() => Drained::Partly { sessions: app.admission.active() },
+    }
+}
+
+/// Drops parked sessions when their time is over, for ever.
+async fn expire(app: &App) {
+    let mut ticks = interval(EXPIRY_INTERVAL);
+    loop {
+        ticks.tick().await;
+        app.workers.parking.expire(Instant::now());
     }
 }
 

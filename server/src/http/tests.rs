@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures_util::{SinkExt, StreamExt};
+use lodestream_protocol::ids::Token;
 use lodestream_protocol::limits::MAX_CLIENT_FRAME_BYTES;
 use lodestream_protocol::message::CloseCode;
 use lodestream_protocol::time::Timestamp;
@@ -61,6 +62,12 @@ impl Core for Echo {
     }
 
     fn rest(&mut self) {}
+
+    fn offer(&mut self, _: Token) {}
+
+    fn park(&mut self) -> bool {
+        false
+    }
 
     fn stats(&self) -> SessionStats {
         SessionStats { heap_bytes: 1000 * self.received, ..SessionStats::default() }
@@ -121,6 +128,7 @@ impl Server {
             max_connections: 16,
             max_sessions: 4,
             max_session_bytes: 1 << 30,
+            resume_for: PATIENCE,
             compute_threads: NonZeroUsize::MIN,
             reader_threads: NonZeroUsize::MIN,
             header_timeout: PATIENCE,

@@ -51,7 +51,7 @@ pub(super) async fn stream(
         .max_frame_size(MAX_CLIENT_FRAME_BYTES)
         .max_message_size(MAX_CLIENT_FRAME_BYTES)
         .read_buffer_size(READ_BUFFER_BYTES)
-        .on_upgrade(move |socket| run(socket, app, core, admitted).instrument(span))
+        .on_upgrade(move |socket| run(socket, app, core, id, admitted).instrument(span))
 }
 
 /// All that must hold before a connection becomes a stream.
@@ -65,6 +65,8 @@ async fn admit(
     if app.shutdown.is_triggered() {
         return Err(HttpError::ShuttingDown);
     }
+    // Those whose clients may or may not come back give way to one that is here.
+    while app.workers.memory.is_exhausted(app.workers.metrics.session_bytes()) && app.workers.parking.displace() {}
     if app.workers.memory.is_exhausted(app.workers.metrics.session_bytes()) {
         tracing::warn!(model = id, "sessions hold all the memory they may");
         return Err(HttpError::NoMemory);
@@ -113,7 +115,7 @@ fn check_origin(headers: &HeaderMap, allowed: &[String]) -> Result<(), HttpError
 }
 
 /// One session from the upgrade to the end of its socket.
-async fn run(socket: WebSocket, app: Arc<App>, core: Box<dyn Core>, admitted: Admitted) {
+async fn run(socket: WebSocket, app: Arc<App>, core: Box<dyn Core>, model: String, admitted: Admitted) {
     let settings = &app.settings;
     let (inbound, frames) = mpsc::channel(settings.driver.inbound_frames);
     let (answers, outbound) = mpsc::channel(settings.driver.outbound_frames);
@@ -128,7 +130,7 @@ async fn run(socket: WebSocket, app: Arc<App>, core: Box<dyn Core>, admitted: Ad
             end = write(&mut sink, outbound, settings) => end,
         }
     };
-    let report = drive(core, &app.workers, settings.driver.hello_timeout, frames, answers, interrupted).await;
+    let report = drive(core, &model, &app.workers, settings.driver.hello_timeout, frames, answers, interrupted).await;
     app.workers.metrics.note_closed(report.end.code());
     log_end(&report);
     close(sink, stream, &report.end, settings.close_timeout).await;
@@ -144,7 +146,8 @@ async fn read(
     loop {
         let message = match timeout(idle_timeout, stream.next()).await {
             Err(_) => return SessionEnd::Timeout { what: "nothing received", limit: idle_timeout },
-            Ok(None | Some(Ok(Message::Close(_)))) => return SessionEnd::PeerGone,
+            Ok(Some(Ok(Message::Close(_)))) => return SessionEnd::PeerDone,
+            Ok(None) => return SessionEnd::PeerGone,
             Ok(Some(Err(error))) => return broken(error),
             Ok(Some(Ok(message))) => message,
         };
@@ -215,7 +218,7 @@ async fn close(
             return;
         }
         match end {
-            SessionEnd::PeerGone => {}
+            SessionEnd::PeerDone | SessionEnd::PeerGone => {}
             // What follows in the socket is no frame, so nothing more is read. Closing a socket with unread bytes resets
             // it, and the peer might never see why: leave it time to.
             SessionEnd::Malformed(_) => sleep(limit).await,
@@ -234,12 +237,13 @@ fn reason(end: &SessionEnd) -> Utf8Bytes {
 
 /// One line for each session: a peer's fault is a warning, bad data and our bugs are errors. Totals are left out where a
 /// session was interrupted within a slice, which still has them.
-fn log_end(SessionReport { end, stats }: &SessionReport) {
+fn log_end(SessionReport { end, stats, is_kept }: &SessionReport) {
     let code = end.code() as u16;
     macro_rules! log {
         ($level:ident) => {
             tracing::$level!(
                 code,
+                is_kept,
                 bytes_sent = stats.map(|stats| stats.bytes_sent),
                 batches = stats.map(|stats| stats.batches),
                 splits = stats.map(|stats| stats.splits),
@@ -250,7 +254,7 @@ fn log_end(SessionReport { end, stats }: &SessionReport) {
         };
     }
     match end {
-        SessionEnd::PeerGone | SessionEnd::ShuttingDown => log!(info),
+        SessionEnd::PeerDone | SessionEnd::PeerGone | SessionEnd::TakenOver | SessionEnd::ShuttingDown => log!(info),
         SessionEnd::Timeout { .. } | SessionEnd::Malformed(_) => log!(warn),
         SessionEnd::Failed(error) => match error {
             SessionError::Peer(_, CloseCode::Normal) => log!(info),

@@ -3,21 +3,31 @@
 //! The core itself lives on the compute threads: each call to it is one slice of the [`Pool`](super::pool::Pool). Nothing is asked of a core
 //! before there is room for its answer, so a slow link costs no work and the newest view wins. Pages that a core wants go to the
 //! [`PageReader`](super::PageReader), and the core is told when some were read.
+//!
+//! When the connection breaks, the core is handed to [`Parking`](super::Parking), and the driver of the connection that resumes it takes it
+//! from there.
 
+use std::sync::Arc;
 use std::time::Duration;
 
-use lodestream_protocol::message::CloseCode;
+use lodestream_protocol::ids::Token;
+use lodestream_protocol::message::{ClientMessage, CloseCode};
 use lodestream_protocol::time::Timestamp;
+use lodestream_protocol::wire;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep_until};
 
-use super::metrics::Account;
+use super::metrics::{Account, Resumption};
+use super::parking::{Claim, Kept, Ticket};
 use super::pool::PoolError;
 use super::{Reading, Workers};
 use crate::session::{Activity, Session, SessionError, SessionStats, WantedPages};
 
 /// A core that says "call me again" for a time gone by is called after this long, or it would keep a thread busy.
 const SHORTEST_WAIT: Duration = Duration::from_millis(1);
+
+/// How long a connection waits for another one to give up the session: for the end of a slice.
+const TAKEOVER_LIMIT: Duration = Duration::from_secs(10);
 
 /// What the driver needs of a session: [`Session`], or a stand-in that a test controls.
 pub trait Core: Send + 'static {
@@ -42,6 +52,10 @@ pub trait Core: Send + 'static {
     fn handle_pages(&mut self) -> Result<(), SessionError>;
     /// See [`Session::rest`].
     fn rest(&mut self);
+    /// See [`Session::offer`].
+    fn offer(&mut self, token: Token);
+    /// See [`Session::park`].
+    fn park(&mut self) -> bool;
     /// See [`Session::stats`].
     fn stats(&self) -> SessionStats;
 }
@@ -71,6 +85,14 @@ impl Core for Session {
         self.rest();
     }
 
+    fn offer(&mut self, token: Token) {
+        self.offer(token);
+    }
+
+    fn park(&mut self) -> bool {
+        self.park()
+    }
+
     fn stats(&self) -> SessionStats {
         self.stats()
     }
@@ -90,9 +112,15 @@ pub struct DriverSettings {
 /// Why a session is over.
 #[derive(Debug, thiserror::Error)]
 pub enum SessionEnd {
-    /// The client closed the connection or vanished.
+    /// The client closed the connection.
+    #[error("the client is done")]
+    PeerDone,
+    /// The connection broke.
     #[error("the client is gone")]
     PeerGone,
+    /// Another connection goes on with the session.
+    #[error("the session goes on over another connection")]
+    TakenOver,
     /// The server stops.
     #[error("the server is shutting down")]
     ShuttingDown,
@@ -119,13 +147,19 @@ impl SessionEnd {
     /// What to close the connection with.
     pub fn code(&self) -> CloseCode {
         match self {
-            Self::PeerGone => CloseCode::Normal,
+            Self::PeerDone | Self::PeerGone => CloseCode::Normal,
+            Self::TakenOver => CloseCode::TakenOver,
             Self::ShuttingDown => CloseCode::GoingAway,
             Self::Timeout { .. } => CloseCode::Timeout,
             Self::Malformed(_) => CloseCode::Malformed,
             Self::Failed(error) => error.code(),
             Self::Lost(_) => CloseCode::Internal,
         }
+    }
+
+    /// Whether neither side decided to end the session: the client may come back.
+    fn is_broken_connection(&self) -> bool {
+        matches!(self, Self::PeerGone | Self::TakenOver | Self::Timeout { .. })
     }
 }
 
@@ -136,14 +170,18 @@ pub struct SessionReport {
     pub end: SessionEnd,
     /// Its totals, or `None` when it was lost or interrupted within a slice.
     pub stats: Option<SessionStats>,
+    /// Whether the session is kept for the client, or goes on over another connection already.
+    pub is_kept: bool,
 }
 
-/// Runs `core` until the client leaves, the core fails, or `interrupted` gives another reason to stop.
+/// Runs `core`, or the session on `model` that the client's first frame resumes, until the client leaves, the core fails, or
+/// `interrupted` gives another reason to stop.
 ///
 /// `inbound` and `outbound` are the bounded channels of [`DriverSettings`]. `interrupted` is polled together with the
 /// session, so whoever moves frames between socket and channels can live in it.
 pub async fn drive(
     core: Box<dyn Core>,
+    model: &str,
     workers: &Workers,
     hello_timeout: Duration,
     inbound: mpsc::Receiver<Vec<u8>>,
@@ -152,29 +190,41 @@ pub async fn drive(
 ) -> SessionReport {
     let mut driver = Driver {
         core: Some(core),
+        model: model.into(),
+        ticket: None,
         workers,
         reading: workers.reader.reading(),
         started: Instant::now(),
         wake: None,
         wants_transmit: false,
-        account: Account::new(std::sync::Arc::clone(&workers.metrics)),
+        account: Account::new(Arc::clone(&workers.metrics)),
         view_time: None,
     };
-    let end = tokio::select! {
+    let mut run = Box::pin(driver.run(hello_timeout, inbound, outbound));
+    let (mut end, is_interrupted) = tokio::select! {
         biased;
-        end = interrupted => end,
-        end = driver.run(hello_timeout, inbound, outbound) => end,
+        end = interrupted => (end, true),
+        end = &mut run => (end, false),
     };
-    let stats = match driver.core.take() {
-        Some(core) => workers.pool.run(move || core.stats()).await.ok(),
-        None => None,
-    };
-    SessionReport { end, stats }
+    if is_interrupted && end.is_broken_connection() {
+        // A slice that runs now has the core, which is wanted. The driver ends after it: with `interrupted`, the other ends of its channels
+        // are gone.
+        match run.await {
+            SessionEnd::PeerGone => {}
+            other => end = other,
+        }
+    } else {
+        drop(run);
+    }
+    driver.finish(end).await
 }
 
 struct Driver<'a> {
     /// `None` while a slice has it.
     core: Option<Box<dyn Core>>,
+    model: Arc<str>,
+    /// `None` before the first frame, and where sessions are not kept.
+    ticket: Option<Ticket>,
     workers: &'a Workers,
     reading: Reading,
     started: Instant,
@@ -209,7 +259,7 @@ impl Driver<'_> {
             Ok(None) => return SessionEnd::PeerGone,
             Err(_) => return SessionEnd::Timeout { what: "no hello", limit: hello_timeout },
         };
-        if let Err(end) = self.handle(first).await {
+        if let Err(end) = self.begin(first).await {
             return end;
         }
         loop {
@@ -217,6 +267,7 @@ impl Driver<'_> {
             // Frames first: the next batch should answer the newest of them.
             let step = tokio::select! {
                 biased;
+                () = taken_over(self.ticket.as_ref()) => Err(SessionEnd::TakenOver),
                 frame = inbound.recv() => match frame {
                     Some(frame) => self.handle(frame).await,
                     None => return SessionEnd::PeerGone,
@@ -245,6 +296,51 @@ impl Driver<'_> {
                 return end;
             }
         }
+    }
+
+    /// Handles the first frame: with the core that it resumes, if there is one.
+    async fn begin(&mut self, frame: Vec<u8>) -> Result<(), SessionEnd> {
+        let wanted = match wire::decode_client(&frame) {
+            Ok(ClientMessage::Resume(resume)) => Some(resume.token),
+            // Whatever else it is, the core says what is wrong with it.
+            _ => None,
+        };
+        let known = match wanted {
+            Some(token) => self.claim(token).await.then_some(token),
+            None => None,
+        };
+        self.ticket = self.workers.parking.open(&self.model, known);
+        if let Some(token) = self.ticket.as_ref().map(|ticket| ticket.token) {
+            self.slice(move |core, _| {
+                core.offer(token);
+                Ok(())
+            })
+            .await?;
+        }
+        let resumes = self.account.stats().resumes;
+        let result = self.handle(frame).await;
+        if wanted.is_some() {
+            let is_resumed = self.account.stats().resumes > resumes;
+            let outcome = if is_resumed { Resumption::Resumed } else { Resumption::Refused };
+            self.account.metrics().note_resumption(outcome);
+            if let Some(ticket) = self.ticket.as_ref().filter(|_| !is_resumed) {
+                // That token was for a session that is no more.
+                ticket.confirm();
+            }
+        }
+        result
+    }
+
+    /// Takes up the session of `token`; whether there is one.
+    async fn claim(&mut self, token: Token) -> bool {
+        let kept = match self.workers.parking.claim(token, &self.model, Instant::now()) {
+            Claim::Unknown => None,
+            Claim::Parked(kept) => Some(kept),
+            Claim::Open(session) => tokio::time::timeout(TAKEOVER_LIMIT, session).await.ok().and_then(Result::ok),
+        };
+        let Some(Kept { core, started, account }) = kept else { return false };
+        (self.core, self.started, self.account) = (Some(core), started, account);
+        true
     }
 
     async fn handle(&mut self, frame: Vec<u8>) -> Result<(), SessionEnd> {
@@ -315,9 +411,44 @@ impl Driver<'_> {
         if let Some(time) = &mut self.view_time {
             *time += took;
         }
+        let is_news = stats.is_confirmed && !before.is_confirmed;
         self.account.update(*stats);
+        if let Some(ticket) = self.ticket.as_ref().filter(|_| is_news) {
+            ticket.confirm();
+        }
         // Those with nothing to do wait for this and rest.
         let _ = self.workers.memory.is_short(self.account.metrics().session_bytes());
+    }
+
+    /// Keeps the core for the connection after this one, if the client may come back.
+    async fn finish(self, end: SessionEnd) -> SessionReport {
+        let Self { core, ticket, started, mut account, workers, .. } = self;
+        let Some(mut core) = core else { return SessionReport { end, stats: None, is_kept: false } };
+        let may_return = ticket.is_some() && end.is_broken_connection();
+        let done = workers.pool.run(move || {
+            let is_worth_keeping = may_return && core.park();
+            let stats = core.stats();
+            (core, is_worth_keeping, stats)
+        });
+        let Ok((core, is_worth_keeping, stats)) = done.await else {
+            return SessionReport { end, stats: None, is_kept: false };
+        };
+        let is_kept = match ticket.filter(|_| is_worth_keeping) {
+            Some(ticket) => {
+                account.update(stats);
+                ticket.park(Kept { core, started, account }, Instant::now())
+            }
+            None => false,
+        };
+        SessionReport { end, stats: Some(stats), is_kept }
+    }
+}
+
+/// Never, without a ticket.
+async fn taken_over(ticket: Option<&Ticket>) {
+    match ticket {
+        Some(ticket) => ticket.taken_over().await,
+        None => std::future::pending().await,
     }
 }
 
@@ -357,6 +488,12 @@ mod tests {
 
         fn rest(&mut self) {}
 
+        fn offer(&mut self, _: Token) {}
+
+        fn park(&mut self) -> bool {
+            false
+        }
+
         fn stats(&self) -> SessionStats {
             SessionStats::default()
         }
@@ -371,7 +508,7 @@ mod tests {
             let (frames, inbound) = mpsc::channel(4);
             let (outbound, answers) = mpsc::channel(2);
             tokio::spawn(async move {
-                drive(core, &workers, Duration::from_secs(20), inbound, outbound, std::future::pending()).await
+                drive(core, "echo", &workers, Duration::from_secs(20), inbound, outbound, std::future::pending()).await
             });
             (frames, answers)
         };
@@ -447,6 +584,12 @@ mod tests {
 
         fn rest(&mut self) {}
 
+        fn offer(&mut self, _: Token) {}
+
+        fn park(&mut self) -> bool {
+            false
+        }
+
         fn stats(&self) -> SessionStats {
             SessionStats { batches: self.sent, ..SessionStats::default() }
         }
@@ -466,7 +609,9 @@ mod tests {
     fn some_workers() -> Workers {
         let threads = NonZeroUsize::MIN;
         let (pool, reader) = (Pool::new(threads, 4).unwrap(), PageReader::new(threads).unwrap());
-        Workers { pool, reader, metrics: Default::default(), memory: crate::runtime::Memory::new(1000) }
+        let metrics: Arc<crate::runtime::Metrics> = Default::default();
+        let parking = crate::runtime::Parking::new(Duration::ZERO, 0, Arc::clone(&metrics));
+        Workers { pool, reader, metrics, memory: crate::runtime::Memory::new(1000), parking }
     }
 
     fn start(hello_timeout: Duration, interrupted: impl Future<Output = SessionEnd> + Send + 'static) -> Session {
@@ -475,7 +620,9 @@ mod tests {
         let (outbound, answers) = mpsc::channel(1);
         let report = tokio::spawn({
             let workers = std::sync::Arc::clone(&workers);
-            async move { drive(Box::new(Echo::default()), &workers, hello_timeout, inbound, outbound, interrupted).await }
+            async move {
+                drive(Box::new(Echo::default()), "echo", &workers, hello_timeout, inbound, outbound, interrupted).await
+            }
         });
         Session { frames, answers, report, workers }
     }

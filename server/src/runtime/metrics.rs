@@ -69,8 +69,41 @@ fn close_label(code: CloseCode) -> &'static str {
         CloseCode::ModelDamaged => "model_damaged",
         CloseCode::Internal => "internal",
         CloseCode::Timeout => "timeout",
+        CloseCode::TakenOver => "taken_over",
     }
 }
+
+/// What became of a session whose connection broke, or of the wish to go on with one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Resumption {
+    /// The session is kept for its client.
+    Parked,
+    /// The client came back to it.
+    Resumed,
+    /// The client did not come in time.
+    Expired,
+    /// It gave way to others, or to the end of the server.
+    Displaced,
+    /// A client asked for a session that it cannot have, and began anew.
+    Refused,
+}
+
+impl Resumption {
+    const ALL: [Self; 5] = [Self::Parked, Self::Resumed, Self::Expired, Self::Displaced, Self::Refused];
+
+    fn label(self) -> &'static str {
+        match self {
+            Self::Parked => "parked",
+            Self::Resumed => "resumed",
+            Self::Expired => "expired",
+            Self::Displaced => "displaced",
+            Self::Refused => "refused",
+        }
+    }
+}
+
+/// The state of a session without a connection.
+const PARKED: &str = "parked";
 
 fn activity_label(activity: Activity) -> &'static str {
     match activity {
@@ -100,6 +133,7 @@ pub struct Metrics {
     admitted: IntCounter,
     refused: IntCounterVec,
     closed: IntCounterVec,
+    resumptions: IntCounterVec,
     bytes_sent: IntCounter,
     bytes_received: IntCounter,
     batches: IntCounter,
@@ -137,10 +171,18 @@ impl Metrics {
         for activity in [Activity::Moving, Activity::Settled, Activity::Resting] {
             sessions.with_label_values(&[activity_label(activity)]);
         }
+        sessions.with_label_values(&[PARKED]);
         let refused = counters(&registry, "lodestream_refused_total", "Streams refused, by reason.", "reason");
         Refusal::ALL.iter().for_each(|reason| drop(refused.with_label_values(&[reason.label()])));
         let closed = counters(&registry, "lodestream_closed_total", "Streams closed, by close code.", "code");
         CloseCode::ALL.iter().for_each(|&code| drop(closed.with_label_values(&[close_label(code)])));
+        let resumptions = counters(
+            &registry,
+            "lodestream_resumptions_total",
+            "Sessions whose connection broke, by outcome.",
+            "outcome",
+        );
+        Resumption::ALL.iter().for_each(|outcome| drop(resumptions.with_label_values(&[outcome.label()])));
         let ops = counters(&registry, "lodestream_ops_total", "Ops sent, by kind.", "kind");
         let kind = |kind| ops.with_label_values(&[kind]);
         let counter = |name, help| keep(&registry, IntCounter::new(name, help));
@@ -153,6 +195,7 @@ impl Metrics {
             sessions,
             refused,
             closed,
+            resumptions,
             session_bytes: gauge("lodestream_session_memory_bytes", "Memory that sessions hold."),
             admitted: counter("lodestream_admitted_total", "Streams opened."),
             bytes_sent: counter("lodestream_sent_bytes_total", "Bytes of frames sent."),
@@ -195,6 +238,11 @@ impl Metrics {
     /// A stream was closed.
     pub fn note_closed(&self, code: CloseCode) {
         self.closed.with_label_values(&[close_label(code)]).inc();
+    }
+
+    /// See [`Resumption`].
+    pub fn note_resumption(&self, outcome: Resumption) {
+        self.resumptions.with_label_values(&[outcome.label()]).inc();
     }
 
     /// A frame came in.
@@ -243,6 +291,7 @@ impl Metrics {
 pub struct Account {
     metrics: Arc<Metrics>,
     counted: SessionStats,
+    is_parked: bool,
 }
 
 impl Account {
@@ -250,7 +299,7 @@ impl Account {
     pub fn new(metrics: Arc<Metrics>) -> Self {
         let counted = SessionStats::default();
         metrics.sessions.with_label_values(&[activity_label(counted.activity)]).inc();
-        Self { metrics, counted }
+        Self { metrics, counted, is_parked: false }
     }
 
     /// The metrics that this is a share of.
@@ -287,9 +336,23 @@ impl Account {
         if stats.heap_bytes != old.heap_bytes {
             sums.session_bytes.add(to_gauge(stats.heap_bytes) - to_gauge(old.heap_bytes));
         }
-        if stats.activity != old.activity {
+        if stats.activity != old.activity && !self.is_parked {
             self.state(old.activity).dec();
             self.state(stats.activity).inc();
+        }
+    }
+
+    /// Whether the session has no connection.
+    pub fn set_parked(&mut self, is_parked: bool) {
+        self.current_state().dec();
+        self.is_parked = is_parked;
+        self.current_state().inc();
+    }
+
+    fn current_state(&self) -> IntGauge {
+        match self.is_parked {
+            true => self.metrics.sessions.with_label_values(&[PARKED]),
+            false => self.state(self.counted.activity),
         }
     }
 
@@ -300,7 +363,7 @@ impl Account {
 
 impl Drop for Account {
     fn drop(&mut self) {
-        self.state(self.counted.activity).dec();
+        self.current_state().dec();
         self.metrics.session_bytes.sub(to_gauge(self.counted.heap_bytes));
     }
 }

@@ -1,4 +1,5 @@
-//! What runs sessions: a driver for each, pools of threads that compute and that read for all, admission and shutdown.
+//! What runs sessions: a driver for each, pools of threads that compute and that read for all, admission, the parking of sessions
+//! whose connection broke, and shutdown.
 //!
 //! Sockets are [`http`](crate::http)'s business; what a session does with a frame is the [`Core`]'s.
 
@@ -6,6 +7,7 @@ pub mod admission;
 pub mod driver;
 pub mod memory;
 pub mod metrics;
+pub mod parking;
 pub mod pool;
 pub mod reader;
 pub mod shutdown;
@@ -14,6 +16,7 @@ pub use admission::{Admission, Admitted, Full};
 pub use driver::{Core, DriverSettings, SessionEnd, SessionReport, drive};
 pub use memory::Memory;
 pub use metrics::Metrics;
+pub use parking::Parking;
 pub use pool::{Pool, PoolError};
 pub use reader::{PageReader, Reading};
 pub use shutdown::Shutdown;
@@ -29,6 +32,8 @@ pub struct Workers {
     pub metrics: std::sync::Arc<Metrics>,
     /// What they may hold.
     pub memory: Memory,
+    /// Those whose clients may come back.
+    pub parking: std::sync::Arc<Parking>,
 }
 
 /// Runs `future` to its end on `io_threads` threads that serve sockets and timers, and stops whatever else they ran.

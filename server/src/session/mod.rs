@@ -10,6 +10,9 @@
 //!
 //! A session whose view has settled rests after a while: the mirror goes, and comes back with the next view (`rest`).
 //!
+//! A session whose connection broke can go on over another: it keeps what the client has not acknowledged ([`Session::park`],
+//! `resume`).
+//!
 //! `score` judges one op for a view, `front` keeps the set of ops that a view asks for from view to view, `select` finds it anew,
 //! `goal` compares it with what the client holds, `order` says what goes first, `mirror` keeps the client's state and encodes,
 //! `pacer` says how much may be on its way.
@@ -20,6 +23,7 @@ mod mirror;
 mod order;
 mod pacer;
 mod rest;
+mod resume;
 pub mod score;
 mod select;
 #[cfg(test)]
@@ -29,7 +33,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-use lodestream_protocol::ids::{BatchSeq, ViewSeq};
+use lodestream_protocol::ids::{BatchSeq, Token, ViewSeq};
 use lodestream_protocol::limits::MAX_OPS_PER_BATCH;
 use lodestream_protocol::mesh::{Replica, SlotSet};
 use lodestream_protocol::message::{
@@ -43,6 +47,7 @@ use self::goal::{Aim, Goal};
 use self::mirror::{BatchPlan, Mirror, MirrorError};
 use self::pacer::Pacer;
 use self::rest::Resting;
+use self::resume::Unacknowledged;
 use self::select::PageAccess;
 pub use self::select::{ops_by_error, ops_for_view};
 use crate::pack::{PackError, PackedModel, PageId};
@@ -173,6 +178,10 @@ pub struct SessionStats {
     pub rests: u64,
     /// See `rests`.
     pub wakes: u64,
+    /// How often the session went on over another connection.
+    pub resumes: u64,
+    /// Whether the client has acknowledged a batch on this connection: it knows the newest token then.
+    pub is_confirmed: bool,
     /// Memory held now.
     pub heap_bytes: u64,
     /// What it does now.
@@ -197,6 +206,8 @@ pub struct Session {
     stats: SessionStats,
     /// Replies to control messages. Bounded: a hello is answered once, a reset only after all batches before it.
     control: VecDeque<ServerMessage>,
+    /// What the next welcome brings.
+    token: Option<Token>,
     /// `None` until the client has said hello.
     running: Option<Running>,
 }
@@ -217,6 +228,19 @@ struct Running {
     told: Option<(u32, f32)>,
     view: Option<CurrentView>,
     work: Option<Work>,
+    /// What the newest view settled with, if it did.
+    settled: Option<Settled>,
+    /// Whether the client was given a token, so that its batches are kept until they are acknowledged.
+    is_resumable: bool,
+    unacknowledged: Unacknowledged,
+    /// Whether there is no connection.
+    is_parked: bool,
+    /// Whether the first view on this connection may be the one in force.
+    may_repeat_view: bool,
+    /// Whether the client may not know that the view has settled.
+    repeats_settled: bool,
+    /// See [`SessionStats::is_confirmed`].
+    is_confirmed: bool,
 }
 
 #[derive(Debug)]
@@ -257,7 +281,15 @@ impl Session {
     }
 
     fn with_access(model: Arc<PackedModel>, config: SessionConfig, access: PageAccess) -> Self {
-        Self { model, access, config, stats: SessionStats::default(), control: VecDeque::new(), running: None }
+        Self {
+            model,
+            access,
+            config,
+            stats: SessionStats::default(),
+            control: VecDeque::new(),
+            token: None,
+            running: None,
+        }
     }
 
     /// Pages that the current view needs, if that has changed since the last call. To be called after
@@ -295,6 +327,7 @@ impl Session {
         let message = wire::decode_client(frame).map_err(|error| SessionError::malformed(error.to_string()))?;
         match (message, &mut self.running) {
             (ClientMessage::Hello(hello), None) => self.greet(now, hello),
+            (ClientMessage::Resume(claim), _) => self.resume(now, &claim),
             (ClientMessage::Hello(_), Some(_)) => Err(SessionError::malformed("a second hello")),
             (_, None) => Err(SessionError::malformed("the first message is not a hello")),
             (ClientMessage::View { seq, mut view }, Some(running)) => {
@@ -304,6 +337,10 @@ impl Session {
                     let text = format!("limit {} is below this model's smallest, {smallest}", view.triangle_limit);
                     return Err(SessionError::Peer(text, CloseCode::LimitTooSmall));
                 }
+                let may_repeat = std::mem::take(&mut running.may_repeat_view);
+                if may_repeat && running.view.as_ref().is_some_and(|current| current.seq == seq) {
+                    return Ok(());
+                }
                 if running.view.as_ref().is_some_and(|current| current.seq >= seq) {
                     return Err(SessionError::malformed("view numbers must increase"));
                 }
@@ -312,7 +349,7 @@ impl Session {
                 self.stats.views += 1;
                 running.view = Some(CurrentView { seq, view, received_at: now });
                 running.work = None;
-                running.settled_at = None;
+                (running.settled_at, running.settled, running.repeats_settled) = (None, None, false);
                 Ok(())
             }
             (ClientMessage::Ack { seq }, Some(running)) => {
@@ -320,22 +357,29 @@ impl Session {
                     return Err(SessionError::malformed("acknowledged a batch that was not sent"));
                 }
                 running.pacer.on_ack(now, seq);
+                running.unacknowledged.acknowledge(seq);
+                running.is_confirmed = true;
                 Ok(())
             }
-            (ClientMessage::Reset { .. }, Some(running)) => {
-                self.stats.resets += 1;
-                running.mirror = Some(Mirror::new(&self.model, running.cache_entries)?);
-                running.resting = None;
-                running.settled_at = None;
-                running.goal.restart();
-                running.pacer.restart(now);
-                running.last_seq = BatchSeq(0);
-                running.told = None;
-                running.work = None;
-                self.control.push_back(ServerMessage::Restart);
-                Ok(())
-            }
+            (ClientMessage::Reset { .. }, Some(_)) => self.begin_again(now),
         }
+    }
+
+    /// Goes back to the base, at the client's wish.
+    fn begin_again(&mut self, now: Timestamp) -> Result<(), SessionError> {
+        let Some(running) = &mut self.running else { return Ok(()) };
+        self.stats.resets += 1;
+        running.mirror = Some(Mirror::new(&self.model, running.cache_entries)?);
+        running.resting = None;
+        (running.settled_at, running.settled, running.repeats_settled) = (None, None, false);
+        running.unacknowledged = Unacknowledged::default();
+        running.goal.restart();
+        running.pacer.restart(now);
+        running.last_seq = BatchSeq(0);
+        running.told = None;
+        running.work = None;
+        self.control.push_back(ServerMessage::Restart);
+        Ok(())
     }
 
     /// Next frame to send, or `None` while the window is full or there is nothing to do. Work per call is bounded by
@@ -347,9 +391,17 @@ impl Session {
         if let Some(message) = self.control.pop_front() {
             return Ok(Some(self.frame(&message)));
         }
-        let Some(running) = &mut self.running else { return Ok(None) };
+        let Some(running) = self.running.as_mut().filter(|running| !running.is_parked) else { return Ok(None) };
+        if let Some((seq, frame)) = running.unacknowledged.next_again() {
+            running.pacer.on_send(now, seq, frame.len());
+            self.stats.bytes_sent += frame.len() as u64;
+            return Ok(Some(frame));
+        }
         if running.view.is_none() {
             return Ok(None);
+        }
+        if let Some(settled) = running.settled.filter(|_| std::mem::take(&mut running.repeats_settled)) {
+            return Ok(Some(self.frame(&ServerMessage::Settled(settled))));
         }
         if let Some(settled_at) = running.settled_at {
             if running.mirror.is_some() && now >= settled_at + self.config.rest_after {
@@ -395,6 +447,7 @@ impl Session {
             let seq = running.last_seq;
             let has_settled = work.is_done();
             running.settled_at = has_settled.then_some(now);
+            running.settled = has_settled.then(|| Settled { view: current.seq, seq, outcome: work.outcome() });
             let in_force = (current.view.triangle_limit, work.lambda);
             let before = running.told.replace(in_force);
             let message = ServerMessage::Batch(Batch {
@@ -408,6 +461,9 @@ impl Session {
             });
             let frame = wire::encode_server(&message);
             running.pacer.on_send(now, seq, frame.len());
+            if running.is_resumable {
+                running.unacknowledged.push(seq, frame.clone());
+            }
             self.stats.bytes_sent += frame.len() as u64;
             return Ok(Some(frame));
         }
@@ -415,9 +471,9 @@ impl Session {
             return Ok(None);
         }
         running.settled_at = Some(now);
-        let message =
-            ServerMessage::Settled(Settled { view: current.seq, seq: running.last_seq, outcome: work.outcome() });
-        Ok(Some(self.frame(&message)))
+        let settled = Settled { view: current.seq, seq: running.last_seq, outcome: work.outcome() };
+        running.settled = Some(settled);
+        Ok(Some(self.frame(&ServerMessage::Settled(settled))))
     }
 
     /// Drops the mirror now, whatever is left to do: it is rebuilt when the next frame is to be made. For a client that has gone
@@ -444,7 +500,7 @@ impl Session {
 
     /// When to call [`poll_transmit`](Self::poll_transmit) again although no frame came in.
     pub fn poll_timeout(&self) -> Option<Timestamp> {
-        let running = self.running.as_ref()?;
+        let running = self.running.as_ref().filter(|running| !running.is_parked)?;
         let current = running.view.as_ref()?;
         if let Some(settled_at) = running.settled_at {
             return running.mirror.as_ref().map(|_| settled_at + self.config.rest_after);
@@ -463,7 +519,8 @@ impl Session {
     pub fn stats(&self) -> SessionStats {
         let held = self.running.as_ref().map_or(0, Running::heap_bytes);
         let activity = self.running.as_ref().map_or(Activity::Moving, Running::activity);
-        SessionStats { heap_bytes: held as u64, activity, ..self.stats }
+        let is_confirmed = self.running.as_ref().is_some_and(|running| running.is_confirmed);
+        SessionStats { heap_bytes: held as u64, activity, is_confirmed, ..self.stats }
     }
 
     /// The mirror of the client's mesh, once the client has said hello and while the session does not rest.
@@ -501,6 +558,7 @@ impl Session {
         self.control.push_back(ServerMessage::Welcome {
             model: info.clone(),
             cache_entries,
+            token: self.token,
             base: self.model.coded_base().to_vec(),
         });
         self.running = Some(Running {
@@ -514,6 +572,13 @@ impl Session {
             told: None,
             view: None,
             work: None,
+            settled: None,
+            is_resumable: self.token.is_some(),
+            unacknowledged: Unacknowledged::default(),
+            is_parked: false,
+            may_repeat_view: false,
+            repeats_settled: false,
+            is_confirmed: false,
         });
         Ok(())
     }
@@ -532,7 +597,8 @@ impl Running {
             .as_ref()
             .map_or(0, |work| work.pending.capacity() * 4 + work.stale.heap_bytes() + work.reluctant.heap_bytes());
         let mirror = self.mirror.as_ref().map_or(0, Mirror::heap_bytes);
-        mirror + self.goal.heap_bytes() + self.resting.as_ref().map_or(0, |resting| resting.heap_bytes()) + work
+        let resting = self.resting.as_ref().map_or(0, |resting| resting.heap_bytes());
+        mirror + self.goal.heap_bytes() + resting + work + self.unacknowledged.heap_bytes()
     }
 
     fn activity(&self) -> Activity {

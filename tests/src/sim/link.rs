@@ -54,6 +54,12 @@ impl Link {
         self.frames.pop_front().map(|(_, frame)| frame)
     }
 
+    /// Loses what is on its way.
+    pub fn cut(&mut self) {
+        self.frames.clear();
+        self.busy_until = Timestamp::default();
+    }
+
     /// When the next frame arrives.
     pub fn next_arrival(&self) -> Option<Timestamp> {
         self.frames.front().map(|frame| frame.0)

@@ -3,9 +3,12 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use lodestream_client::core::{ClientConfig, ClientSession};
+use lodestream_client::core::{ClientConfig, ClientSession, Connectivity};
+use lodestream_protocol::ids::Token;
+use lodestream_protocol::message::ServerMessage;
 use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::View;
+use lodestream_protocol::wire::decode_server;
 use lodestream_server::pack::{PackedModel, PageId};
 use lodestream_server::session::{Session, SessionConfig};
 
@@ -54,12 +57,63 @@ pub struct Pair {
     pub client: ClientSession,
     /// Virtual time.
     pub now: Timestamp,
+    model: Arc<PackedModel>,
     down: Link,
     up: Link,
+    /// Whether there is a connection.
+    is_open: bool,
+    tokens: u64,
+    batches: Batches,
     kept: Option<[Vec<Vec<u8>>; 2]>,
     damages: bool,
     damaged: u32,
     reader: Option<Reader>,
+}
+
+/// Checks what goes over the link: every batch arrives once, whatever is cut.
+#[derive(Debug, Default)]
+struct Batches {
+    /// Frames of all batches since the last base, in the order in which they were first sent.
+    sent: Vec<Vec<u8>>,
+    /// How many batches arrived at the client since the last base that did.
+    received: usize,
+    /// Where those go on that the server sends now.
+    next: usize,
+    /// How many were sent more than once.
+    again: u64,
+}
+
+impl Batches {
+    fn send(&mut self, frame: &[u8]) {
+        match decode_server(frame).expect("the server sends valid frames") {
+            ServerMessage::Batch(_) => {}
+            ServerMessage::Welcome { .. } | ServerMessage::Restart => {
+                (self.sent, self.next) = (Vec::new(), 0);
+                return;
+            }
+            ServerMessage::Resumed { .. } => {
+                self.next = self.received;
+                return;
+            }
+            ServerMessage::Settled(_) => return,
+        }
+        match self.sent.get(self.next) {
+            Some(before) => {
+                assert!(before == frame, "a batch that is sent again is as it was");
+                self.again += 1;
+            }
+            None => self.sent.push(frame.to_vec()),
+        }
+        self.next += 1;
+    }
+
+    fn receive(&mut self, frame: &[u8]) {
+        match decode_server(frame) {
+            Ok(ServerMessage::Batch(_)) => self.received += 1,
+            Ok(ServerMessage::Welcome { .. } | ServerMessage::Restart) => self.received = 0,
+            _ => {}
+        }
+    }
 }
 
 /// Reads pages for the server, see [`Disk::Slow`].
@@ -117,13 +171,18 @@ impl Pair {
                 pages_read: model.ready_pages(),
             }),
         };
-        let session = if reader.is_some() { Session::reading_ahead } else { Session::new };
+        let mut server = fresh_session(&model, reader.is_some());
+        server.offer(token(0));
         Self {
-            server: session(model, SessionConfig::default()),
+            model,
+            server,
             client: ClientSession::new(config.client),
             now: Timestamp::default(),
             down: Link::new(config.down),
             up: Link::new(config.up),
+            is_open: true,
+            tokens: 0,
+            batches: Batches::default(),
             kept: None,
             damages: false,
             damaged: 0,
@@ -154,6 +213,41 @@ impl Pair {
     /// The frames kept: server to client, client to server.
     pub fn kept_frames(self) -> [Vec<Vec<u8>>; 2] {
         self.kept.unwrap_or_default()
+    }
+
+    /// The connection breaks: what is on its way is lost. The client comes back when its time to try again has come.
+    pub fn cut(&mut self) {
+        for link in [&mut self.down, &mut self.up] {
+            link.cut();
+        }
+        self.is_open = false;
+        self.client.handle_loss(self.now);
+    }
+
+    /// Likewise, and the server has forgotten the session when the client comes back.
+    pub fn cut_and_forget(&mut self) {
+        self.cut();
+        self.server = fresh_session(&self.model, self.reader.is_some());
+    }
+
+    /// Batches that were sent more than once.
+    pub fn sent_again(&self) -> u64 {
+        self.batches.again
+    }
+
+    /// Makes the connection anew if it is time to.
+    fn reconnect(&mut self) {
+        let Connectivity::Reconnecting { next_try, .. } = self.client.connectivity() else { return };
+        if !self.is_open && next_try <= self.now {
+            self.server.park();
+            if self.client.model().is_none() {
+                // It has no token to come back with.
+                self.server = fresh_session(&self.model, self.reader.is_some());
+            }
+            self.tokens += 1;
+            self.server.offer(token(self.tokens));
+            self.is_open = true;
+        }
     }
 
     /// Damages the next large batch on its way to the client, which then asks to begin again.
@@ -189,9 +283,13 @@ impl Pair {
         let next = [
             self.down.next_arrival(),
             self.up.next_arrival(),
-            self.client.poll_timeout(),
-            self.server.poll_timeout(),
-            self.reader.as_ref().and_then(Reader::next_arrival),
+            self.client.poll_timeout().filter(|_| self.is_open),
+            self.server.poll_timeout().filter(|_| self.is_open),
+            match self.client.connectivity() {
+                Connectivity::Reconnecting { next_try, .. } if !self.is_open => Some(next_try),
+                _ => None,
+            },
+            self.reader.as_ref().filter(|_| self.is_open).and_then(Reader::next_arrival),
         ];
         let Some(next) = next.into_iter().flatten().min() else { return false };
         self.now = next.max(self.now + Duration::from_micros(1)).min(self.now + at_most);
@@ -231,6 +329,10 @@ impl Pair {
 
     /// One pass over both ends; whether anything happened.
     fn exchange(&mut self) -> bool {
+        self.reconnect();
+        if !self.is_open {
+            return false;
+        }
         let now = self.now;
         let mut moved = false;
         while let Some(frame) = self.client.poll_transmit(now) {
@@ -244,6 +346,7 @@ impl Pair {
         }
         if let Some(frame) = self.server.poll_transmit(now).expect("the session goes on") {
             self.keep(0, &frame);
+            self.batches.send(&frame);
             self.down.send(now, frame);
             moved = true;
         }
@@ -258,6 +361,7 @@ impl Pair {
             }
         }
         while let Some(mut frame) = self.down.receive(now) {
+            self.batches.receive(&frame);
             self.damage(&mut frame);
             self.client.handle_frame(now, &frame).expect("the server sends what the client takes");
             assert!(self.client.stats().resets <= self.damaged, "the two ends disagreed");
@@ -265,4 +369,16 @@ impl Pair {
         }
         moved
     }
+}
+
+fn fresh_session(model: &Arc<PackedModel>, reads_ahead: bool) -> Session {
+    let session = if reads_ahead { Session::reading_ahead } else { Session::new };
+    session(Arc::clone(model), SessionConfig::default())
+}
+
+/// Tokens need not be secret here, only different.
+fn token(number: u64) -> Token {
+    let mut bytes = [0; 16];
+    bytes[..8].copy_from_slice(&number.to_le_bytes());
+    Token(bytes)
 }

@@ -80,6 +80,7 @@ fn options(target: Target) -> SnapshotOptions {
         look: Look::default(),
         shape: LinkShape::default(),
         until: Until::Settled,
+        reconnect_for: Duration::ZERO,
         output: None,
         export: None,
         stats: None,
