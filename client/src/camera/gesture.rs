@@ -123,7 +123,8 @@ impl Pointers {
             let mut gestures = vec![Gesture::Pan { by_px: half }];
             if long > reach && short > reach {
                 let angle = after[1].atan2(after[0]) - before[1].atan2(before[0]);
-                let clockwise_rad = (angle + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI;
+                let clockwise_rad =
+                    (angle + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI;
                 gestures.push(Gesture::Pinch { center_px, factor: long / short, clockwise_rad });
             }
             return gestures;

@@ -361,8 +361,7 @@ impl Navigator {
             }
             Motion::Flight { from, to, began } => {
                 let share = (now.since(began).as_secs_f64() / FLIGHT.as_secs_f64()).min(1.0);
-                self.orbit =
-                    if share < 1.0 { from.towards(&to, share * share * (3.0 - 2.0 * share)) } else { to };
+                self.orbit = if share < 1.0 { from.towards(&to, share * share * (3.0 - 2.0 * share)) } else { to };
                 self.motion = if share < 1.0 { self.motion } else { Motion::Still };
                 self.moved = true;
             }

@@ -35,6 +35,11 @@ impl Inbox {
         Some(item)
     }
 
+    /// Bytes of ops of the next item.
+    pub(super) fn next_bytes(&self) -> Option<usize> {
+        self.items.front().map(op_bytes)
+    }
+
     pub(super) fn is_empty(&self) -> bool {
         self.items.is_empty()
     }

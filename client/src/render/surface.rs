@@ -70,8 +70,7 @@ impl<'w> SurfaceTarget<'w> {
         let flags = gpu.adapter.get_downlevel_capabilities().flags;
         // In browsers such a view may lose its encoding where samples are resolved (Chromium on SwiftShader), so shaders
         // encode there.
-        let can_view =
-            flags.contains(wgpu::DownlevelFlags::SURFACE_VIEW_FORMATS) && cfg!(not(target_arch = "wasm32"));
+        let can_view = flags.contains(wgpu::DownlevelFlags::SURFACE_VIEW_FORMATS) && cfg!(not(target_arch = "wasm32"));
         let view_format = if can_view { format.add_srgb_suffix() } else { format };
         let config = SurfaceConfiguration {
             usage: wgpu::TextureUsages::RENDER_ATTACHMENT,

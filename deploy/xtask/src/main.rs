@@ -196,7 +196,7 @@ fn soak(ops: &str) -> Result<()> {
 }
 
 fn setup() -> Result<()> {
-    let packages = ["mesa-vulkan-drivers", "rustc-web", "cargo-web", "rust-web-src", "lld-19"];
+    let packages = ["mesa-vulkan-drivers", "xvfb", "rustc-web", "cargo-web", "rust-web-src", "lld-19"];
     run("apt-get", &["update", "-qq"], &[])?;
     let install = ["install", "-y", "-qq", "--no-install-recommends"];
     run("apt-get", &[&install[..], &packages].concat(), &[("DEBIAN_FRONTEND", "noninteractive")])

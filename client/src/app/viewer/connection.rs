@@ -77,7 +77,9 @@ impl Connection {
         {
             self.wait(now);
         }
-        let (Phase::Waiting { until } | Phase::Gone { until } | Phase::Full { until }) = self.phase else { return false };
+        let (Phase::Waiting { until } | Phase::Gone { until } | Phase::Full { until }) = self.phase else {
+            return false;
+        };
         if now < until {
             return false;
         }
@@ -122,7 +124,10 @@ impl Connection {
             (_, Some(CloseCode::ModelDamaged)) => {
                 self.phase = Phase::Failed { reason: "the model's file is damaged".into() };
             }
-            (Ending::Closed { reason, .. }, Some(CloseCode::Malformed | CloseCode::LimitTooSmall | CloseCode::Internal)) => {
+            (
+                Ending::Closed { reason, .. },
+                Some(CloseCode::Malformed | CloseCode::LimitTooSmall | CloseCode::Internal),
+            ) => {
                 self.note_fault(now, reason);
             }
             _ => self.wait(now),

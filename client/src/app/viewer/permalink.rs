@@ -134,8 +134,15 @@ mod tests {
 
     #[test]
     fn nonsense_leaves_the_camera_alone() {
-        for text in ["", "#", "at=1,2,3", "at=1,2&from=1,2,3", "at=1,2,nan&from=0,0,1", "at=0,0,0&from=0,0,-1", "from=0,0,0&at=0,0,0"]
-        {
+        for text in [
+            "",
+            "#",
+            "at=1,2,3",
+            "at=1,2&from=1,2,3",
+            "at=1,2,nan&from=0,0,1",
+            "at=0,0,0&from=0,0,-1",
+            "from=0,0,0&at=0,0,0",
+        ] {
             assert_eq!(read(text, FOV).0, None, "{text}");
         }
         assert!(read(&format!("at=0,0,0&from=0,0,1&x={}", "1".repeat(5000)), FOV).0.is_none());

@@ -98,7 +98,10 @@ mod tests {
                     let plane = [n.x, n.y, n.z, -n.dot(hit.point) - 1e-6];
                     let behind = first_hit(replica, &lattice, &ray, 0.0, &[plane]);
                     assert!(behind.is_none_or(|behind| behind.distance > hit.distance));
-                    assert_eq!(behind.is_some(), first_hit(replica, &lattice, &ray, hit.distance + 1e-6, &[]).is_some());
+                    assert_eq!(
+                        behind.is_some(),
+                        first_hit(replica, &lattice, &ray, hit.distance + 1e-6, &[]).is_some()
+                    );
                 }
                 (None, None) => {}
                 other => panic!("{other:?}"),

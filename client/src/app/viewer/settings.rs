@@ -190,10 +190,7 @@ impl Settings {
             ("occlusion", self.occlusion.fixed().map_or("auto".into(), on_off)),
             ("morph", self.morph.fixed().map_or("auto".into(), on_off)),
             ("light", self.light.fixed().map_or("auto".into(), |light| format!("{},{},{}", light.x, light.y, light.z))),
-            (
-                "background",
-                self.background.fixed().map_or("auto".into(), |[r, g, b]| format!("{r:02x}{g:02x}{b:02x}")),
-            ),
+            ("background", self.background.fixed().map_or("auto".into(), |[r, g, b]| format!("{r:02x}{g:02x}{b:02x}"))),
             ("section", self.section.map_or("off".into(), |section| section.to_string())),
         ]
     }
