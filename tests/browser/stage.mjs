@@ -1,0 +1,160 @@
+// A server of its own with models of known shape, and a browser without a screen or a graphics card.
+
+import { spawn, spawnSync } from 'node:child_process';
+import { mkdtempSync, mkdirSync, rmSync, writeFileSync } from 'node:fs';
+import { createServer } from 'node:net';
+import { tmpdir } from 'node:os';
+import { dirname, join } from 'node:path';
+import { fileURLToPath } from 'node:url';
+import { chromium } from 'playwright-core';
+
+const root = join(dirname(fileURLToPath(import.meta.url)), '..', '..');
+const target = process.env.CARGO_TARGET_DIR ?? join(root, 'target');
+const program = process.env.SERVER_BIN ?? join(target, 'debug', 'lodestream-server');
+const bundle = join(target, 'browser', 'bundle');
+export const pictures = join(target, 'browser', 'pictures');
+
+// WebGPU and the picture by software; the rest keeps Chromium from speaking to anyone else.
+const FLAGS = [
+  '--headless', '--no-sandbox', '--enable-unsafe-webgpu', '--use-webgpu-adapter=swiftshader', '--enable-features=Vulkan',
+  '--use-vulkan=swiftshader', '--use-angle=vulkan', '--disable-background-networking', '--disable-component-update',
+  '--disable-sync', '--no-first-run', '--disable-domain-reliability', '--metrics-recording-only',
+];
+
+function freePort() {
+  return new Promise((resolve) => {
+    const server = createServer().listen(0, '127.0.0.1', () => {
+      const { port } = server.address();
+      server.close(() => resolve(port));
+    });
+  });
+}
+
+// The cube from -1 to 1, each side `n` by `n` squares of two triangles, as OBJ.
+function cube(n) {
+  const lines = [];
+  const numbers = new Map();
+  const vertex = (point) => {
+    const key = point.join(' ');
+    if (!numbers.has(key)) {
+      numbers.set(key, numbers.size + 1);
+      lines.push(`v ${key}`);
+    }
+    return numbers.get(key);
+  };
+  const faces = [];
+  for (const axis of [0, 1, 2]) {
+    for (const side of [-1, 1]) {
+      const at = (i, j) => {
+        const point = [];
+        point[axis] = side;
+        point[(axis + 1) % 3] = (2 * i) / n - 1;
+        point[(axis + 2) % 3] = (2 * j) / n - 1;
+        return vertex(point);
+      };
+      for (let i = 0; i < n; i++) {
+        for (let j = 0; j < n; j++) {
+          const [a, b, c, d] = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
+          const [p, q] = side > 0 ? [b, d] : [d, b];
+          faces.push(`f ${a} ${p} ${c}`, `f ${a} ${c} ${q}`);
+        }
+      }
+    }
+  }
+  return [...lines, ...faces, ''].join('\n');
+}
+
+export class Stage {
+  static async open() {
+    const stage = new Stage();
+    stage.folder = mkdtempSync(join(tmpdir(), 'lodestream-browser-'));
+    stage.repository = join(stage.folder, 'models');
+    mkdirSync(stage.repository);
+    mkdirSync(pictures, { recursive: true });
+    writeFileSync(join(stage.folder, 'cube.obj'), cube(24));
+    stage.call('ingest', join(stage.folder, 'cube.obj'), '--repository', stage.repository);
+    stage.call('sample', '--triangles', '60000', join(stage.folder, 'scan.ply'));
+    stage.call('ingest', join(stage.folder, 'scan.ply'), '--repository', stage.repository);
+    stage.port = await freePort();
+    await stage.serve();
+    stage.browser = await chromium.launch({ executablePath: process.env.CHROMIUM ?? '/usr/bin/chromium', args: FLAGS });
+    return stage;
+  }
+
+  call(...args) {
+    const { status, stderr } = spawnSync(program, args, { encoding: 'utf8' });
+    if (status !== 0) throw new Error(`lodestream-server ${args[0]} failed: ${stderr}`);
+  }
+
+  // Starts the server, at the same address each time.
+  async serve(environment = {}) {
+    const args = ['serve', '--repository', this.repository, '--listen', `127.0.0.1:${this.port}`, '--viewer', bundle];
+    this.server = spawn(program, args, { stdio: ['ignore', 'pipe', 'inherit'], env: { ...process.env, LODESTREAM_LOG_FILTER: 'error', ...environment } });
+    await new Promise((resolve, reject) => {
+      this.server.stdout.once('data', resolve);
+      this.server.once('exit', (code) => reject(new Error(`the server ended with ${code}`)));
+    });
+  }
+
+  async stop(signal = 'SIGTERM') {
+    const ended = new Promise((resolve) => this.server.once('exit', resolve));
+    this.server.kill(signal);
+    await ended;
+  }
+
+  address(path) {
+    return `http://127.0.0.1:${this.port}${path}`;
+  }
+
+  // A page that remembers what went wrong on it, in `page.faults`.
+  async page(path, options = {}) {
+    const context = await this.browser.newContext({ viewport: { width: 900, height: 600 }, ...options });
+    const page = await context.newPage();
+    page.faults = [];
+    page.on('console', (message) => { if (['error', 'warning'].includes(message.type())) page.faults.push(message.text()); });
+    page.on('pageerror', (error) => page.faults.push(String(error)));
+    page.on('request', (request) => { if (!request.url().startsWith(this.address('/')) && !/^(data|blob):/.test(request.url())) page.faults.push(`asked for ${request.url()}`); });
+    await page.goto(this.address(path));
+    return page;
+  }
+
+  async close() {
+    await this.browser?.close();
+    if (this.server?.exitCode === null) await this.stop();
+    rmSync(this.folder, { recursive: true });
+  }
+}
+
+export const PATIENCE = 30_000;
+
+// Waits for a state of the viewer.
+export const state = (page, name) => page.waitForSelector(`#state[data-state="${name}"]`, { timeout: PATIENCE });
+
+// Waits until the camera rests and the mesh is what it asks for.
+export async function settled(page) {
+  let before = '';
+  for (let k = 0; k < 100; k++) {
+    await state(page, 'settled');
+    const link = await page.evaluate(() => window.lodestream.link());
+    if (link === before) return link;
+    before = link;
+    await page.waitForTimeout(150);
+  }
+  throw new Error('the camera does not come to rest');
+}
+
+// The figures by name.
+export async function figures(page) {
+  const names = ['triangles', 'limit', 'model', 'error', 'rate', 'received', 'trip', 'images', 'hits', 'memory', 'uploaded', 'mostUploaded', 'views', 'module'];
+  const numbers = await page.evaluate(() => window.lodestream.figures());
+  return Object.fromEntries(names.map((name, k) => [name, numbers[k]]));
+}
+
+// The marks: where they are on the canvas, whether exact, and in the model.
+export async function marks(page) {
+  const numbers = await page.evaluate(() => window.lodestream.marks());
+  return Array.from({ length: numbers.length / 6 }, (_, k) => ({ exact: numbers[6 * k + 2] === 1, point: numbers.slice(6 * k + 3, 6 * k + 6) }));
+}
+
+// What a link says, by key.
+export const parts = (link) => Object.fromEntries(link.split('&').map((pair) => pair.split('=')));

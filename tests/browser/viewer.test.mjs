@@ -1,0 +1,276 @@
+import assert from 'node:assert/strict';
+import { join } from 'node:path';
+import { after, before, test } from 'node:test';
+import { Stage, figures, marks, parts, pictures, settled, state, PATIENCE } from './stage.mjs';
+
+let stage;
+before(async () => { stage = await Stage.open(); });
+after(() => stage?.close());
+
+const key = async (page, ...names) => { for (const name of names) await page.keyboard.press(name); };
+const picture = (page, name) => page.screenshot({ path: join(pictures, `${name}.png`) });
+
+// Where a pixel of the front view of the cube meets its front side, z = 1.
+function onFront(link, [x, y], width, height) {
+  const distance = Number(parts(link).from.split(',')[2]);
+  const unit = (2 * Math.tan(Math.PI / 8) * (distance - 1)) / height;
+  return [(x - width / 2) * unit, (height / 2 - y) * unit, 1];
+}
+
+test('the list leads to a page that shows the picture at once and then the model', async () => {
+  const page = await stage.page('/');
+  assert.equal(await page.locator('li').count(), 2);
+  await picture(page, 'list');
+  const html = await (await fetch(stage.address('/models/scan'))).text();
+  const poster = html.indexOf('id="poster"');
+  assert.ok(poster > 0 && poster < 2500 && poster < html.indexOf('<script'), 'the picture comes before what loads');
+  assert.ok(html.length < 60_000, `${html.length} bytes of page`);
+  await page.click('text=scan');
+  await settled(page);
+  const { triangles, model, error, memory, received } = await figures(page);
+  assert.ok(triangles > 1000 && triangles <= model && error <= 1.0 && memory > 1e6 && received > 1e4);
+  assert.match(await page.textContent('#figure-triangles'), /\d/);
+  await page.waitForTimeout(500);
+  await picture(page, 'desktop');
+  assert.deepEqual(page.faults, []);
+  await page.context().close();
+});
+
+test('keys, wheel, buttons and drags move the camera, and the address follows', async () => {
+  const page = await stage.page('/models/cube');
+  const links = [await settled(page)];
+  const moved = async (what) => {
+    const link = await settled(page);
+    assert.notEqual(link, links.at(-1), what);
+    links.push(link);
+    return parts(link);
+  };
+  await page.focus('#canvas');
+  await key(page, 'ArrowLeft', 'ArrowLeft');
+  await moved('arrows turn');
+  await page.mouse.move(300, 300);
+  await page.mouse.wheel(0, -300);
+  const near = await moved('the wheel zooms');
+  assert.ok(Number(near.from.split(',')[2]) < Number(parts(links[0]).from.split(',')[2]));
+  await page.mouse.down();
+  await page.mouse.move(420, 330, { steps: 8 });
+  await page.mouse.up();
+  await moved('a drag turns');
+  await page.click('[data-view="top"]');
+  assert.deepEqual((await moved('top')).from.split(',').slice(0, 2), ['0', '90']);
+  await page.click('[data-switch="ortho"]');
+  assert.equal((await moved('parallel')).ortho, 'on');
+  await page.mouse.dblclick(520, 300);
+  await moved('a double click goes there');
+  await page.click('[data-do="fit"]');
+  assert.equal((await moved('fit')).at, '0,0,0');
+  await page.keyboard.down('KeyW');
+  await page.waitForTimeout(300);
+  await page.keyboard.up('KeyW');
+  await moved('W flies');
+  await page.waitForTimeout(600);
+  assert.equal(new URL(page.url()).hash, `#${links.at(-1)}`);
+  assert.deepEqual(page.faults, []);
+  await page.context().close();
+});
+
+test('marks lie on the complete model, and the distance between them is that of the cube', async () => {
+  const page = await stage.page('/models/cube#tolerance=50');
+  await settled(page);
+  await page.focus('#canvas');
+  await key(page, '1');
+  const link = await settled(page);
+  await page.click('[data-tool="measure"]');
+  const [width, height] = [900, 600];
+  const pixels = [[380, 250], [510, 360]];
+  for (const [x, y] of pixels) await page.mouse.click(x, y, { delay: 30 });
+  await page.waitForFunction(() => document.querySelectorAll('#marks .dot.exact').length === 2, null, { timeout: PATIENCE });
+  const [a, b] = await marks(page);
+  assert.ok(a.exact && b.exact);
+  const expected = pixels.map((pixel) => onFront(link, pixel, width, height));
+  for (const [mark, point] of [[a, expected[0]], [b, expected[1]]]) {
+    assert.ok(Math.abs(mark.point[2] - 1) < 1e-9, `on the side: ${mark.point}`);
+    assert.ok(Math.hypot(mark.point[0] - point[0], mark.point[1] - point[1]) < 1e-4, `${mark.point} ${point}`);
+  }
+  const distance = await page.evaluate(() => window.lodestream.distance());
+  assert.ok(Math.abs(distance - Math.hypot(...a.point.map((x, k) => x - b.point[k]))) < 1e-12);
+  assert.match(await page.textContent('#marks .length'), /^\d/);
+  await picture(page, 'measure');
+  await key(page, 'Escape');
+  await page.waitForFunction(() => document.querySelectorAll('#marks .dot').length === 0, null, { timeout: PATIENCE });
+  assert.deepEqual(page.faults, []);
+  await page.context().close();
+});
+
+test('a section cuts away what lies beyond it', async () => {
+  const page = await stage.page('/models/cube#section=x,0.5');
+  await settled(page);
+  await page.focus('#canvas');
+  await key(page, '1');
+  await settled(page);
+  await picture(page, 'section');
+  await page.click('[data-tool="measure"]');
+  await page.mouse.click(400, 300, { delay: 30 });
+  await page.waitForFunction(() => window.lodestream.marks().length === 6, null, { timeout: PATIENCE });
+  assert.ok((await marks(page))[0].point[0] < 0);
+  await page.mouse.click(500, 300, { delay: 30 });
+  await page.waitForSelector('#notice:not([hidden])', { timeout: PATIENCE });
+  assert.match(await page.textContent('#notice'), /no surface/);
+  await page.evaluate(() => { document.querySelector('#section-axis').closest('details').open = true; });
+  await page.selectOption('#section-axis', 'off');
+  await page.mouse.click(500, 300, { delay: 30 });
+  await page.waitForFunction(() => window.lodestream.marks().length === 12, null, { timeout: PATIENCE });
+  assert.deepEqual(page.faults, []);
+  await page.context().close();
+});
+
+test('a link leads to the same view with the same settings', async () => {
+  const page = await stage.page('/models/scan');
+  await settled(page);
+  await page.focus('#canvas');
+  await key(page, '7', 'o');
+  await settled(page);
+  await page.check('#check-wireframe');
+  await page.fill('#triangles', '0.4');
+  const link = await settled(page);
+  assert.match(link, /ortho=on.*triangles=\d+.*wireframe=on/);
+  const other = await stage.page(`/models/scan#${link}`);
+  assert.equal(await settled(other), link);
+  assert.equal(await other.isChecked('#check-wireframe'), true);
+  assert.equal(await other.isChecked('#triangles-auto'), false);
+  await picture(other, 'wireframe');
+  assert.deepEqual([...page.faults, ...other.faults], []);
+  await page.context().close();
+  await other.context().close();
+});
+
+test('the limit holds, and memory stays within what it allows', async () => {
+  const page = await stage.page('/models/scan#triangles=5000&memory=64&tolerance=0.1');
+  await state(page, 'settled');
+  assert.match(await page.textContent('#state'), /limit/);
+  await page.focus('#canvas');
+  let most = 0;
+  for (const view of ['1', '5', '3', '7', '2']) {
+    await key(page, view);
+    for (let k = 0; k < 6; k++) {
+      const { triangles, limit } = await figures(page);
+      most = Math.max(most, triangles);
+      assert.equal(limit, 5000);
+      await page.waitForTimeout(60);
+    }
+  }
+  await settled(page);
+  assert.ok(most <= 5000 && most > 4000, `${most} triangles`);
+  const { memory, module, mostUploaded } = await figures(page);
+  assert.ok(memory < 64 * 2 ** 20, `${memory} bytes, ${module} of the module`);
+  assert.ok(mostUploaded <= 2 * 2 ** 20, `${mostUploaded} bytes uploaded for an image`);
+  assert.deepEqual(page.faults, []);
+  await page.context().close();
+});
+
+test('everything can be reached with the keyboard alone', async () => {
+  const page = await stage.page('/models/cube');
+  await settled(page);
+  const reached = new Set();
+  for (let k = 0; k < 40; k++) {
+    await key(page, 'Tab');
+    reached.add(await page.evaluate(() => document.activeElement.id || document.activeElement.dataset.do || document.activeElement.dataset.view || document.activeElement.dataset.switch || document.activeElement.dataset.tool || document.activeElement.tagName));
+  }
+  for (const wanted of ['canvas', 'back', 'toggle', 'fit', 'ortho', 'measure', 'shot', 'share', 'triangles', 'tolerance-auto', 'front', 'home']) {
+    assert.ok(reached.has(wanted), `${wanted} is not among ${[...reached]}`);
+  }
+  await page.focus('#toggle');
+  await key(page, 'Enter');
+  assert.equal(await page.isVisible('#panel'), false);
+  assert.equal(await page.getAttribute('#toggle', 'aria-expanded'), 'false');
+  await page.focus('#canvas');
+  await key(page, 'c', '1', 'm', 'Enter');
+  await page.waitForFunction(() => window.lodestream.marks()[2] === 1, null, { timeout: PATIENCE });
+  await settled(page);
+  await key(page, 'Shift+ArrowRight', 'Enter');
+  await page.waitForFunction(() => window.lodestream.distance() > 0, null, { timeout: PATIENCE });
+  assert.deepEqual(page.faults, []);
+  await page.context().close();
+});
+
+test('a picture is saved, a recording is made and played', async () => {
+  const page = await stage.page('/models/cube');
+  await settled(page);
+  const [saved] = await Promise.all([page.waitForEvent('download'), page.click('#shot')]);
+  assert.equal(saved.suggestedFilename(), 'cube.png');
+  await saved.saveAs(join(pictures, 'saved.png'));
+  await page.evaluate(() => document.querySelectorAll('details').forEach((group) => { group.open = true; }));
+  await page.click('#record');
+  await page.focus('#canvas');
+  await key(page, '2');
+  const there = await settled(page);
+  const [file] = await Promise.all([page.waitForEvent('download'), page.click('#record')]);
+  const path = join(pictures, 'path.jsonl');
+  await file.saveAs(path);
+  await key(page, '1');
+  assert.notEqual(await settled(page), there);
+  const [chooser] = await Promise.all([page.waitForEvent('filechooser'), page.click('#play')]);
+  await chooser.setFiles(path);
+  await page.waitForFunction(() => /play=on/.test(window.lodestream.settings()), null, { timeout: PATIENCE });
+  await page.waitForFunction(() => /play=off/.test(window.lodestream.settings()), null, { timeout: PATIENCE });
+  assert.equal(parts(await settled(page)).from.split(',')[0], parts(there).from.split(',')[0]);
+  assert.deepEqual(page.faults, []);
+  await page.context().close();
+});
+
+test('phones get fewer triangles and fingers', async () => {
+  const phone = { viewport: { width: 390, height: 844 }, screen: { width: 390, height: 844 }, isMobile: true, hasTouch: true, deviceScaleFactor: 3 };
+  const page = await stage.page('/models/scan', phone);
+  const first = await settled(page);
+  assert.ok((await figures(page)).limit <= 200_000);
+  assert.equal(await page.evaluate(() => document.querySelector('canvas').width), 585, 'the pixel ratio is capped');
+  assert.equal(await page.isVisible('#panel'), false);
+  assert.ok(await page.evaluate(() => document.documentElement.scrollWidth <= innerWidth), 'nothing sticks out');
+  await picture(page, 'phone');
+  const session = await page.context().newCDPSession(page);
+  const touch = (type, ...points) => session.send('Input.dispatchTouchEvent', { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
+  await touch('touchStart', [150, 400], [250, 400]);
+  for (let k = 1; k <= 5; k++) await touch('touchMove', [150 - 12 * k, 400], [250 + 12 * k, 400]);
+  await touch('touchEnd');
+  const pinched = await settled(page);
+  const distance = (link) => Number(parts(link).from.split(',')[2]);
+  assert.ok(distance(pinched) < 0.6 * distance(first), `${pinched} ${first}`);
+  await page.tap('#toggle');
+  assert.equal(await page.isVisible('#panel'), true);
+  await picture(page, 'phone-panel');
+  assert.deepEqual(page.faults, []);
+  await page.context().close();
+});
+
+test('a server that goes and comes back finds the viewer where it was', async () => {
+  const page = await stage.page('/models/scan');
+  const link = await settled(page);
+  const { triangles } = await figures(page);
+  await stage.stop('SIGKILL');
+  await state(page, 'reconnecting');
+  assert.equal((await figures(page)).triangles, triangles, 'the picture stays');
+  await picture(page, 'reconnecting');
+  await stage.serve();
+  assert.equal(await settled(page), link);
+  assert.equal((await figures(page)).triangles, triangles);
+  // The browser itself reports sockets and addresses that nobody answers.
+  assert.deepEqual(page.faults.filter((fault) => !/ERR_CONNECTION_REFUSED|WebSocket connection/.test(fault)), []);
+  await page.context().close();
+});
+
+test('a full server and a model that is gone are said', async () => {
+  await stage.stop();
+  await stage.serve({ LODESTREAM_RUNTIME_MAX_SESSIONS: '1' });
+  const page = await stage.page('/models/cube');
+  await settled(page);
+  const other = await stage.page('/models/scan');
+  await state(other, 'full');
+  assert.equal(await other.isVisible('#poster'), true, 'its picture is there all the same');
+  await page.context().close();
+  await settled(other);
+  await stage.stop();
+  stage.repository = stage.folder;
+  await stage.serve();
+  await state(other, 'gone');
+  await other.context().close();
+});
