@@ -111,6 +111,8 @@ pub struct Allowance {
 
 /// What an op byte comes to before anything is known: a split takes some 3 bytes and touches a dozen places of 24 bytes.
 const FIRST_BYTES_PER_OP_BYTE: f64 = 100.0;
+/// How much more than the costliest batch lately the next one is taken to cost: changes that lie farther apart cost more.
+const MARGIN: f64 = 1.5;
 /// How fast a costly batch is forgotten, per batch.
 const FORGETTING: f64 = 0.98;
 
@@ -128,7 +130,7 @@ impl Allowance {
 
     /// What a batch of so many bytes of ops may come to.
     pub fn estimate(&self, op_bytes: usize) -> u64 {
-        (self.bytes_per_op_byte * op_bytes as f64) as u64
+        (MARGIN * self.bytes_per_op_byte * op_bytes as f64) as u64
     }
 
     /// A batch of so many bytes of ops raised what is planned from `before` to `after`.

@@ -141,6 +141,9 @@ fn missing_tools() -> Vec<String> {
     if cfg!(target_os = "linux") && !drivers.iter().any(|dir| Path::new(dir).is_dir()) {
         missing.push("images: no Vulkan driver (Debian: mesa-vulkan-drivers)".into());
     }
+    if cfg!(target_os = "linux") && !Path::new("/usr/bin/Xvfb").is_file() {
+        missing.push("window: no display for its tests (Debian: xvfb)".into());
+    }
     if !wasm_toolchain() {
         missing.push("browser build: no wasm32 toolchain (Debian: rustc-web cargo-web rust-web-src lld-19)".into());
     }

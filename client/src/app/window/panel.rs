@@ -43,14 +43,10 @@ pub(super) fn show(
 ) {
     let figures = viewer.figures(now);
     let settings = *viewer.settings();
-    egui::Window::new(surroundings.model)
-        .anchor(Align2::LEFT_TOP, [12.0, 12.0])
-        .default_width(250.0)
-        .resizable(false)
-        .vscroll(true)
-        .default_height(context.content_rect().height() - 60.0)
-        .max_height(context.content_rect().height() - 60.0)
-        .show(context, |ui| {
+    egui::Window::new(surroundings.model).anchor(Align2::LEFT_TOP, [12.0, 12.0]).auto_sized().show(context, |ui| {
+        // As high as what is open, but not beyond the window.
+        let most = context.content_rect().height() - 80.0;
+        egui::ScrollArea::vertical().max_height(most).show(ui, |ui| {
             ui.spacing_mut().slider_width = 110.0;
             show_state(ui, viewer.state());
             show_figures(ui, &figures);
@@ -62,6 +58,7 @@ pub(super) fn show(
             ui.collapsing("Tools", |ui| show_tools(ui, viewer, wishes));
             ui.label(RichText::new(surroundings.device).small().weak());
         });
+    });
     show_marks(context, viewer);
     if let Some(notice) = surroundings.notice {
         egui::Area::new(egui::Id::unique("notice")).anchor(Align2::CENTER_BOTTOM, [0.0, -16.0]).show(context, |ui| {
