@@ -382,8 +382,8 @@ impl ApplicationHandler<Woken> for App {
         }
         let scale = opened.window.scale_factor();
         match event {
-            WindowEvent::CloseRequested | WindowEvent::Destroyed => return events.exit(),
-            WindowEvent::RedrawRequested => return self.draw(events),
+            WindowEvent::CloseRequested | WindowEvent::Destroyed => events.exit(),
+            WindowEvent::RedrawRequested => self.draw(events),
             WindowEvent::Resized(PhysicalSize { width, height }) => {
                 opened.screen.resize([width, height]);
                 self.viewer.resize(Viewport { width_px: width.max(1), height_px: height.max(1) }, scale);
