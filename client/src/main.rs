@@ -34,10 +34,30 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    /// Show a model in a window
+    #[cfg(feature = "window")]
+    View(ViewArgs),
     /// Stream one view of a model without a window; write the image, the mesh or figures
     Snapshot(SnapshotArgs),
     /// Let many clients without a picture move through a model, and measure what they get
     Load(LoadArgs),
+}
+
+#[cfg(feature = "window")]
+#[derive(Args)]
+struct ViewArgs {
+    /// Address of the model, such as http://host:port/models/bunny; may be a link to a view, with its part after #
+    #[arg(value_name = "URL")]
+    url: String,
+    /// Size of the window
+    #[arg(long, value_name = "WxH", default_value = "1280x800", value_parser = parse_size)]
+    size: Viewport,
+    /// Folder for screenshots and recordings
+    #[arg(long, value_name = "DIR", default_value = ".")]
+    folder: PathBuf,
+    /// Write the picture as PNG when all detail is shown, and end
+    #[arg(long, value_name = "FILE")]
+    picture: Option<PathBuf>,
 }
 
 #[derive(Args)]
@@ -169,6 +189,8 @@ struct LoadArgs {
 fn main() -> ExitCode {
     // Usage errors end here, with exit code 2.
     let result = match Cli::parse().command {
+        #[cfg(feature = "window")]
+        Command::View(args) => run_view(args),
         Command::Snapshot(args) => run_snapshot(args),
         Command::Load(args) => run_load(args),
     };
@@ -179,6 +201,28 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+#[cfg(feature = "window")]
+fn run_view(args: ViewArgs) -> anyhow::Result<()> {
+    use lodestream_client::app::window::{self, WindowOptions};
+    let (address, link) = args.url.split_once('#').unwrap_or((&args.url, ""));
+    let target = address.parse().unwrap_or_else(|error| {
+        Cli::command()
+            .error(ErrorKind::ValueValidation, format!("'{address}' is no address of a model: {error}"))
+            .exit()
+    });
+    if let Some(path) = &args.picture {
+        check_folder(path)?;
+    }
+    window::run(WindowOptions {
+        target,
+        size: [args.size.width_px, args.size.height_px],
+        link: link.into(),
+        folder: args.folder,
+        picture: args.picture,
+    })?;
+    Ok(())
 }
 
 fn run_snapshot(args: SnapshotArgs) -> anyhow::Result<()> {
@@ -426,6 +470,8 @@ mod tests {
             let words = ["lodestream", "load", "http://h:1/models/x"].into_iter().chain(flags.split_whitespace());
             Cli::try_parse_from(words).map(|cli| match cli.command {
                 Command::Load(args) => args,
+                #[cfg(feature = "window")]
+                Command::View(_) => panic!("load was asked for"),
                 Command::Snapshot(_) => panic!("load was asked for"),
             })
         };

@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use glam::{DVec3, Vec3};
 use lodestream_client::render::camera::CameraUniform;
+use lodestream_client::render::ghosts::MAX_GHOSTS;
 use lodestream_client::render::morph::{LONGEST, MorphView, Morphs, Motion, SHORTEST};
 use lodestream_client::render::{Image, RenderCamera, RenderOptions, Shading};
 use lodestream_protocol::ids::VertexSlot;
@@ -214,4 +215,70 @@ fn images_begin_as_before_and_end_as_without() {
         let on = studio.shoot(&name, &mut replica, &camera, &at(460));
         assert!(!studio.offscreen.stats().is_moving && off == on);
     }
+}
+
+/// Collapses all that may, once.
+fn collapse_all(replica: &mut Replica) -> usize {
+    let free: Vec<u32> =
+        replica.collapsible().iter().filter(|&t| replica.split_from(VertexSlot(t)).is_some()).collect();
+    free.iter().filter(|&&t| replica.collapse(VertexSlot(t), &mut Vec::new()).is_ok()).count()
+}
+
+#[test]
+fn what_collapses_fades() {
+    let (Some(mut studio), Some(mut plain)) = (Studio::open(), Studio::open()) else { return };
+    let camera = looking(DVec3::new(0.7, 0.5, 3.0), DVec3::ZERO);
+    for shading in [Shading::Smooth, Shading::Flat] {
+        let mut replica = icosphere(2).replica(&studio.lattice);
+        (0..160).for_each(|s| assert!(split(&mut replica, s, 1.0).is_some()));
+        let made = (0..160).filter_map(|s| split(&mut replica, s, 1.05)).count();
+        assert!(made > 100);
+        let at = |ms: u64| RenderOptions { geomorph: Some(millis(ms)), ..shaded(shading) };
+        let name = format!("ghosts-{shading:?}");
+        studio.shoot(&name, &mut replica, &camera, &at(0));
+        let before = studio.shoot(&format!("{name}-before"), &mut replica, &camera, &at(10));
+        assert!(collapse_all(&mut replica) > 50);
+        let mut copy = replica.clone();
+        copy.track_dirty();
+        let expected = plain.shoot(&format!("{name}-without"), &mut copy, &camera, &shaded(shading));
+        let jump = mean(&expected, &before);
+
+        let begin = studio.shoot(&format!("{name}-begin"), &mut replica, &camera, &at(20));
+        let stats = studio.offscreen.stats();
+        assert!(stats.is_moving && stats.ghosts > 50, "{stats:?}");
+        // Ghosts that lie deeper than the mesh is now are hidden by it.
+        assert!(mean(&begin, &before) < 0.5 * jump, "{} of {jump}", mean(&begin, &before));
+        let mut last = f64::INFINITY;
+        for ms in [100, 200, 300, 390] {
+            let image = studio.shoot(&format!("{name}-{ms}"), &mut replica, &camera, &at(20 + ms));
+            let left = mean(&image, &expected);
+            assert!(left < last, "{ms}: fainter and fainter");
+            last = left;
+        }
+        assert!(last < 0.1 * jump);
+        let end = studio.shoot(&format!("{name}-end"), &mut replica, &camera, &at(421));
+        let stats = studio.offscreen.stats();
+        assert_eq!((stats.is_moving, stats.ghosts), (false, 0));
+        assert_eq!(worst(&end, &expected), 0, "{shading:?}");
+    }
+}
+
+#[test]
+fn ghosts_are_bounded_and_never_of_another_mesh() {
+    let Some(mut studio) = Studio::open() else { return };
+    let camera = looking(DVec3::new(0.0, 0.0, 1.6), DVec3::ZERO);
+    let at = |ms: u64| RenderOptions { geomorph: Some(millis(ms)), ..RenderOptions::default() };
+    let mut replica = icosphere(5).replica(&studio.lattice);
+    let made = (0..10_000).filter_map(|s| split(&mut replica, s, 1.0)).count();
+    assert!(made > 9_000);
+    studio.shoot("ghosts-many", &mut replica, &camera, &at(0));
+    studio.shoot("ghosts-many", &mut replica, &camera, &at(1));
+    assert!(collapse_all(&mut replica) > 3000);
+    studio.shoot("ghosts-many", &mut replica, &camera, &at(10));
+    assert_eq!(studio.offscreen.stats().ghosts as usize, MAX_GHOSTS);
+    // After a restart nothing fades that was not there.
+    let mut anew = icosphere(3).replica(&studio.lattice);
+    anew.track_dirty();
+    studio.shoot("ghosts-anew", &mut anew, &camera, &at(20));
+    assert_eq!(studio.offscreen.stats().ghosts, 0);
 }

@@ -7,7 +7,9 @@ mod meshes;
 use bytemuck::Zeroable;
 use lodestream_client::render::buffers::MeshBuffers;
 use lodestream_client::render::readback::read_buffer;
-use lodestream_client::render::upload::{self, GpuVertex, UploadPlan, gpu_faces, gpu_vertices};
+use lodestream_client::render::upload::{
+    self, Allowance, GpuVertex, UploadPlan, gpu_faces, gpu_vertices, planned_bytes,
+};
 use lodestream_client::render::{Gpu, GpuOptions, RenderError};
 use lodestream_protocol::mesh::{Patch, Replica};
 use lodestream_protocol::testing::{OperationRng, base_meshes};
@@ -104,6 +106,56 @@ fn small_changes_cost_little_and_growth_doubles() {
     assert_eq!((plan.grow_to, plan.vertices.len()), (None, 1));
     assert!(plan.bytes() < 10_000, "{} bytes for one split", plan.bytes());
     assert_eq!(upload::plan(&mut sphere.clone(), 2048).grow_to, Some(4096));
+}
+
+#[test]
+fn uploads_stay_within_the_allowance() {
+    for seed in 0..10 {
+        let mut rng = OperationRng::new(seed);
+        let mut replica = meshes::icosphere(5).replica(&meshes::lattice());
+        upload::plan(&mut replica, 0);
+        let mut allowance = Allowance::new(200_000);
+        let (mut images, mut batches, mut fullest) = (0, 0, 0);
+        // Batches wait, of ops of three bytes anywhere on the mesh: the worst there is for merging. None of them alone is
+        // too much.
+        let mut waiting: Vec<u32> = (0..300).map(|_| 1 + rng.below(40)).collect();
+        while let Some(&ops) = waiting.last() {
+            let planned = planned_bytes(&mut replica).expect("it tracks");
+            let op_bytes = 3 * ops as usize;
+            if allowance.admits(planned, op_bytes) {
+                waiting.pop();
+                batches += 1;
+                for _ in 0..ops {
+                    match rng.one_in(3) {
+                        true => rng.random_collapse(&mut replica),
+                        false => rng.random_split(&mut replica),
+                    };
+                }
+                let after = planned_bytes(&mut replica).expect("it tracks");
+                allowance.learn(planned, after, op_bytes);
+                continue;
+            }
+            let slots = replica.slot_end();
+            let plan = upload::plan(&mut replica, slots);
+            assert_eq!(plan.bytes(), planned, "what was foreseen is what is written");
+            assert!(planned <= 200_000, "seed {seed}: image {images} uploads {planned}");
+            images += 1;
+            fullest = fullest.max(planned);
+        }
+        // It is used, not just kept.
+        assert!(fullest > 100_000 && batches == 300 && images < 150, "{fullest} bytes, {images} images");
+    }
+}
+
+#[test]
+fn a_single_batch_passes_whatever_it_costs() {
+    let mut allowance = Allowance::new(10);
+    assert!(allowance.admits(0, 1_000_000) && !allowance.admits(1, 1));
+    allowance.learn(0, 5_000_000, 1000);
+    assert!(allowance.admits(0, 1_000_000) && allowance.estimate(10) >= 50_000);
+    // Costly batches are forgotten.
+    (0..300).for_each(|_| allowance.learn(0, 1000, 1000));
+    assert!(allowance.estimate(10) < 200);
 }
 
 #[test]

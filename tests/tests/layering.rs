@@ -77,7 +77,7 @@ fn names_are_told_from_parts_of_names() {
 #[test]
 fn platform_crates_stay_at_home() {
     let sources = sources();
-    let homes: [(&str, &[&str]); 14] = [
+    let homes: [(&str, &[&str]); 16] = [
         (
             "tokio",
             &[
@@ -103,7 +103,9 @@ fn platform_crates_stay_at_home() {
         ("axum", &["server/src/http/"]),
         ("hyper", &["server/src/http/"]),
         ("hyper_util", &["server/src/http/"]),
-        ("wgpu", &["client/src/render/"]),
+        ("wgpu", &["client/src/render/", "client/src/app/window/screen.rs"]),
+        ("winit", &["client/src/app/window/"]),
+        ("egui", &["client/src/app/window/"]),
         ("wasm_bindgen", &["client/src/app/web.rs"]),
         ("web_sys", &["client/src/app/web.rs", "client/src/render/canvas.rs"]),
         ("bincode", &["protocol/src/wire.rs"]),
@@ -119,7 +121,9 @@ fn platform_crates_stay_at_home() {
         let is_used = sources.iter().any(|source| source.lines.iter().any(|line| uses(line, name)));
         assert!(is_used, "`{name}` is used nowhere: does this test still read the sources right?");
     }
-    let found = offenders(&sources, &["server/src/repository/mmap.rs"], |line| names(line, "unsafe"));
+    // Content security policies know words with it, which are no keywords.
+    let is_unsafe = |line: &str| names(&line.replace("unsafe-", "").replace("-unsafe", ""), "unsafe");
+    let found = offenders(&sources, &["server/src/repository/mmap.rs"], is_unsafe);
     assert!(found.is_empty(), "`unsafe` is for the memory map alone:\n{}", found.join("\n"));
 }
 

@@ -49,6 +49,11 @@ impl Inbox {
         Some(BatchSeq(base.wrapping_add(u32::try_from(batches).unwrap_or(u32::MAX))))
     }
 
+    /// Bytes of ops of the next item.
+    pub(super) fn next_bytes(&self) -> Option<usize> {
+        self.items.front().map(op_bytes)
+    }
+
     pub(super) fn is_empty(&self) -> bool {
         self.items.is_empty()
     }

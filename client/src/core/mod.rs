@@ -306,6 +306,11 @@ impl ClientSession {
         !self.inbox.is_empty()
     }
 
+    /// Bytes of ops that the next item waiting for [`apply_ready`](Self::apply_ready) holds, 0 for one without ops.
+    pub fn next_op_bytes(&self) -> Option<usize> {
+        self.inbox.next_bytes()
+    }
+
     /// The next frame to send, or `None` if there is nothing to say yet.
     pub fn poll_transmit(&mut self, now: Timestamp) -> Option<Vec<u8>> {
         self.next_message(now).map(|message| wire::encode_client(&message))

@@ -26,6 +26,9 @@ pub enum RenderError {
         #[source]
         source: wgpu::RequestDeviceError,
     },
+    /// The window gives nothing to draw to.
+    #[error("cannot draw to this window: {0}")]
+    NoSurface(String),
     /// The adapter cannot present to the window.
     #[error("graphics adapter \"{adapter}\" cannot show images in this window")]
     NoSurfaceFormat {

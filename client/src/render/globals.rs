@@ -6,11 +6,12 @@ use lodestream_protocol::quant::Lattice;
 use wgpu::TextureFormat;
 
 use super::camera::CameraUniform;
-use super::options::{CLAY_LINEAR, RenderOptions, SECTION_LINEAR, srgb_decode};
+use super::options::{CLAY_LINEAR, RenderOptions, SECTION_LINEAR, Shading, srgb_decode};
 
 const DETAIL_WIREFRAME: u32 = 1;
 const DETAIL_LEVELS: u32 = 2;
 const DETAIL_FACING: u32 = 4;
+const DETAIL_FLAT: u32 = 8;
 
 /// As in `globals.wgsl`.
 #[repr(C)]
@@ -36,7 +37,7 @@ pub struct Globals {
     pub capacity_slots: u32,
     /// Cosine of the crease angle.
     pub crease_cosine: f32,
-    /// Bits: wireframe, colours by refinement, tinted backs.
+    /// Bits: wireframe, colours by refinement, tinted backs, flat.
     pub details: u32,
     /// Refinement of a face whose legs are one lattice step.
     pub level_zero: f32,
@@ -76,6 +77,7 @@ impl Globals {
             (options.wireframe, DETAIL_WIREFRAME),
             (options.refinement_colors, DETAIL_LEVELS),
             (options.tint_backs, DETAIL_FACING),
+            (options.shading == Shading::Flat, DETAIL_FLAT),
         ];
         Self {
             camera,

@@ -5,7 +5,7 @@
 //!
 //! - [`camera`]: the camera in the shaders' terms. [`upload`]: dirty slots to an upload plan, plain data.
 //! - [`options`]: the shading formula. [`globals`]: camera and options for the shaders. [`lines`]: what is drawn on top.
-//! - [`buffers`]: executes plans. `corners`: normals by corner. `occlusion`: darker crevices. [`morph`]: transitions. [`pipeline`]: shaders and pipelines. [`renderer`]: one image.
+//! - [`buffers`]: executes plans. `corners`: normals by corner. `occlusion`: darker crevices. [`morph`], [`ghosts`]: transitions. [`pipeline`]: shaders and pipelines. [`renderer`]: one image.
 //! - [`gpu`]: instance, adapter, device. [`surface`]: windows and canvases. `readback`, `offscreen`, `image`: images without a window (not in browsers).
 //!
 //! This module reads replicas; it never sees messages and decides no op.
@@ -33,6 +33,8 @@ pub mod renderer;
 pub mod surface;
 mod target;
 pub mod upload;
+
+pub mod ghosts;
 
 mod error;
 

@@ -22,6 +22,8 @@ pub const SHORTEST: Duration = Duration::from_millis(80);
 const HALVING_SPEED: f32 = 0.25;
 /// Ways shorter than this are not seen.
 const LEAST_WAY_PX: f32 = 0.3;
+/// Triangles smaller than this, in square pixels, are not seen to go.
+const LEAST_AREA_PX: f32 = 0.3;
 
 /// The state of a slot as the shader has it.
 #[repr(C)]
@@ -50,7 +52,8 @@ pub struct Morphs {
     now_s: f32,
     /// When the last of the running transitions ends.
     end_s: f32,
-    share: f32,
+    /// Time of the last image, if something was on its way then and is still.
+    moved_since_s: Option<f32>,
     /// Slots whose transitions may still run.
     running: Vec<u32>,
     /// Slots whose state differs from what was last taken.
@@ -82,6 +85,23 @@ pub struct MorphView<'a> {
 }
 
 impl MorphView<'_> {
+    /// Inverse duration of transitions that begin now.
+    pub(super) fn rate_per_s(&self) -> f32 {
+        1.0 / self.duration.max(Duration::from_millis(1)).as_secs_f32()
+    }
+
+    /// Whether a triangle covers anything worth fading.
+    pub(super) fn shows(&self, places: [Vec3; 3]) -> bool {
+        let corners = places.map(|place| self.camera.clip(place));
+        if corners.iter().any(|c| c.w <= 0.0 || c.z > c.w) {
+            return false;
+        }
+        let [width, height] = self.size.map(|side| side as f32);
+        let [a, b, c] = corners.map(|c| Vec3::new(c.x / c.w * width, c.y / c.w * height, 0.0) / 2.0);
+        let is_inside = [a, b, c].iter().any(|p| p.x.abs() <= 0.55 * width && p.y.abs() <= 0.55 * height);
+        is_inside && (b - a).cross(c - a).length() / 2.0 >= LEAST_AREA_PX
+    }
+
     /// Whether a vertex on its way from one place to the other is seen moving.
     fn sees(&self, from: [f32; 3], to: [f32; 3]) -> bool {
         let [a, b] = [from, to].map(|p| self.camera.clip(Vec3::from_array(p)));
@@ -107,18 +127,22 @@ impl Morphs {
         replica: &Replica,
         view: &MorphView<'_>,
     ) {
-        let before_s = self.now_s;
-        self.now_s = now.saturating_sub(self.epoch).as_secs_f32();
-        let was_running = self.now_s < self.end_s;
-        if !was_running {
-            self.rest(now);
-        }
+        self.tick(now);
         self.begin(births, touched, replica, view);
-        let (elapsed_s, left_s) = (self.now_s - before_s, self.end_s - before_s);
-        self.share = if was_running && left_s > 0.0 { (elapsed_s / left_s).clamp(0.0, 1.0) } else { 0.0 };
     }
 
-    fn begin(&mut self, births: Option<&[Birth]>, touched: &[Range<u32>], replica: &Replica, view: &MorphView<'_>) {
+    /// The first half of [`advance`](Self::advance): time goes on to `now`, and what is known is still that of the last image.
+    pub fn tick(&mut self, now: Duration) {
+        let before_s = self.now_s;
+        self.now_s = now.saturating_sub(self.epoch).as_secs_f32();
+        self.moved_since_s = self.is_running().then_some(before_s);
+        if !self.is_running() {
+            self.rest(now);
+        }
+    }
+
+    /// The second half: transitions begin.
+    pub fn begin(&mut self, births: Option<&[Birth]>, touched: &[Range<u32>], replica: &Replica, view: &MorphView<'_>) {
         self.slots.resize_with(replica.slot_end() as usize, Slot::default);
         let place = |slot: u32| replica.positions()[slot as usize].map(|x| x as f32);
         let Some(births) = births else {
@@ -136,7 +160,7 @@ impl Morphs {
             // A slot that is taken anew forgets what was there.
             self.put(birth.slot, Slot { state: GpuMorph::default(), target: start });
         }
-        let rate_per_s = 1.0 / view.duration.max(Duration::from_millis(1)).as_secs_f32();
+        let rate_per_s = view.rate_per_s();
         for slot in touched.iter().cloned().flatten().filter(|&slot| replica.vertices().contains(slot)) {
             let target = place(slot);
             if self.slots[slot as usize].target == target {
@@ -160,7 +184,14 @@ impl Morphs {
 
     /// How much of the rest of its way something goes from the last image to this one that is to arrive with the last vertex.
     pub fn share(&self) -> f32 {
-        self.share
+        let Some(before_s) = self.moved_since_s else { return 0.0 };
+        let (elapsed_s, left_s) = (self.now_s - before_s, self.end_s - before_s);
+        if left_s > 0.0 { (elapsed_s / left_s).clamp(0.0, 1.0) } else { 1.0 }
+    }
+
+    /// Something else than a vertex is on its way until then.
+    pub fn hold(&mut self, end_s: f32) {
+        self.end_s = self.end_s.max(end_s);
     }
 
     /// Whether a vertex is on its way.

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 
 use wgpu::{BindGroupLayout, Device, ShaderModule, ShaderStages, TextureFormat};
 
+use super::ghosts::GHOST_CORNER_BYTES;
 use super::lines::LINE_BYTES;
 use super::upload::VERTEX_BYTES;
 
@@ -61,6 +62,8 @@ pub struct Pipelines {
     pub hidden_lines: wgpu::RenderPipeline,
     /// Lines in front of the mesh.
     pub lines: wgpu::RenderPipeline,
+    /// Faces that fade.
+    pub ghosts: wgpu::RenderPipeline,
     mesh_shader: ShaderModule,
     /// Compiled when they are first asked for: most viewers use two or three.
     mesh: HashMap<MeshPipeline, wgpu::RenderPipeline>,
@@ -113,7 +116,26 @@ impl Pipelines {
                 ..Shape::default()
             })
         };
+        let mesh_shader = shader(device, "mesh", MESH_SHADER);
+        let ghost_attributes =
+            wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3, 2 => Unorm8x4, 3 => Float32, 4 => Float32];
+        let ghost_shape = Shape {
+            vertex: "vertex_ghost",
+            fragment: "fragment_ghost",
+            buffers: &[Some(wgpu::VertexBufferLayout {
+                array_stride: GHOST_CORNER_BYTES,
+                step_mode: wgpu::VertexStepMode::Vertex,
+                attributes: &ghost_attributes,
+            })],
+            depth_compare: wgpu::CompareFunction::GreaterEqual,
+            // Nearer by a thousandth: what is gone and what is there now lie in each other.
+            depth_bias: 1 << 13,
+            is_of_mesh: true,
+            blend: Some(wgpu::BlendState::ALPHA_BLENDING),
+            ..Shape::default()
+        };
         Self {
+            ghosts: ghost_shape.build(device, &mesh_shader, format, &[Some(&globals)]),
             corners: has_storage(&device.limits()).then(|| CornerPipelines::new(device, &globals)),
             background: draw(Shape {
                 vertex: "vertex_background",
@@ -123,7 +145,7 @@ impl Pipelines {
             }),
             hidden_lines: line(wgpu::CompareFunction::Less),
             lines: line(wgpu::CompareFunction::GreaterEqual),
-            mesh_shader: shader(device, "mesh", MESH_SHADER),
+            mesh_shader,
             mesh: HashMap::new(),
             globals,
             format,
@@ -158,6 +180,7 @@ impl Pipelines {
                 fragment: &format!("{fragment}{cut}"),
                 buffers,
                 writes_depth: true,
+                is_of_mesh: true,
                 has_details: kind.has_details,
                 ..Shape::default()
             };
@@ -219,6 +242,9 @@ struct Shape<'a> {
     depth_compare: wgpu::CompareFunction,
     writes_depth: bool,
     blend: Option<wgpu::BlendState>,
+    /// In steps of the depth's floats.
+    depth_bias: i32,
+    is_of_mesh: bool,
     has_details: bool,
 }
 
@@ -232,6 +258,8 @@ impl Default for Shape<'_> {
             depth_compare: wgpu::CompareFunction::Greater,
             writes_depth: false,
             blend: None,
+            depth_bias: 0,
+            is_of_mesh: false,
             has_details: false,
         }
     }
@@ -252,8 +280,8 @@ impl Shape<'_> {
         });
         let flag = |is_on: bool| f64::from(u8::from(is_on));
         let constants = [("encode_srgb", flag(!format.is_srgb())), ("has_details", flag(self.has_details))];
-        // A constant that the shader does not have is an error.
-        let constants = if self.writes_depth { &constants[..] } else { &constants[..1] };
+        // A constant that the shader does not have is an error: scenery has no details.
+        let constants = if self.is_of_mesh { &constants[..] } else { &constants[..1] };
         let compilation_options = wgpu::PipelineCompilationOptions { constants, ..Default::default() };
         device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
             label: Some(self.vertex),
@@ -271,7 +299,7 @@ impl Shape<'_> {
                 depth_write_enabled: Some(self.writes_depth),
                 depth_compare: Some(self.depth_compare),
                 stencil: Default::default(),
-                bias: Default::default(),
+                bias: wgpu::DepthBiasState { constant: self.depth_bias, ..Default::default() },
             }),
             multisample: wgpu::MultisampleState { count: SAMPLES, ..Default::default() },
             fragment: Some(wgpu::FragmentState {

@@ -11,6 +11,7 @@ use super::buffers::MeshBuffers;
 use super::camera::{CameraUniform, RenderCamera};
 use super::corners::CornerBuffers;
 use super::error::RenderError;
+use super::ghosts::{GHOST_CORNER_BYTES, Ghosts, MAX_GHOSTS};
 use super::globals::{Globals, encode};
 use super::lines::{Line, gpu_lines};
 use super::morph::{MorphView, Morphs, Motion};
@@ -42,6 +43,8 @@ pub struct Renderer {
     occlusion: Option<OcclusionBuffers>,
     lines: Vec<Line>,
     morphs: Morphs,
+    ghosts: Ghosts,
+    ghost_corners: Option<Buffer>,
     motion: Motion,
     morph_pipeline: Option<MorphPipeline>,
     morph_buffers: Option<MorphBuffers>,
@@ -52,7 +55,9 @@ pub struct Renderer {
 pub struct DrawStats {
     /// Bytes written to the mesh buffers and for transitions.
     pub uploaded_bytes: u64,
-    /// Whether vertices are on their way to their places: the next image will differ though nothing else changes.
+    /// Faces that collapses took away and that are fading.
+    pub ghosts: u32,
+    /// Whether vertices are on their way to their places, or faces fade: the next image will differ though nothing else changes.
     pub is_moving: bool,
     /// Whether normals were computed.
     pub computed_normals: bool,
@@ -74,6 +79,7 @@ struct Image<'a> {
     has_occlusion: bool,
     /// Vertices are drawn where they are shown.
     is_moving: bool,
+    shows_ghosts: bool,
 }
 
 impl Renderer {
@@ -105,6 +111,8 @@ impl Renderer {
             occlusion: None,
             lines: Vec::new(),
             morphs: Morphs::default(),
+            ghosts: Ghosts::default(),
+            ghost_corners: None,
             motion: Motion::default(),
             morph_pipeline: None,
             morph_buffers: None,
@@ -181,6 +189,7 @@ impl Renderer {
             None => {
                 // What happens from here on is not followed, so nothing may be built on it later.
                 (self.morphs, self.morph_buffers) = (Morphs::default(), None);
+                self.ghosts.forget();
                 (false, 0)
             }
         };
@@ -203,8 +212,16 @@ impl Renderer {
             has_details: by_corner && options.has_details(),
             is_cut: options.unit_section().is_some(),
         };
-        let image =
-            Image { target, options, pipeline, lines: self.upload_lines(&camera, lattice), has_occlusion, is_moving };
+        let image = Image {
+            target,
+            options,
+            pipeline,
+            lines: self.upload_lines(&camera, lattice),
+            has_occlusion,
+            is_moving,
+            // Edges and levels are of the mesh as it is.
+            shows_ghosts: !pipeline.has_details,
+        };
         self.encode_pass(&mut encoder, &image);
         if let (true, Some(pipelines), Some(buffers)) = (has_occlusion, &self.occlusion_pipelines, &self.occlusion) {
             buffers.encode(&mut encoder, pipelines, &self.globals_group, target, pipeline.is_cut);
@@ -213,6 +230,7 @@ impl Renderer {
         Ok(DrawStats {
             uploaded_bytes: plan.bytes() + morph_bytes,
             is_moving,
+            ghosts: if is_moving { self.ghosts.ghosts().len() as u32 } else { 0 },
             computed_normals,
             is_smooth,
             has_occlusion,
@@ -241,7 +259,19 @@ impl Renderer {
         }
         let births = births.filter(|_| !self.morphs.is_empty());
         view.duration = self.motion.follow(now, view.camera, view.extent);
-        self.morphs.advance(now, births.as_deref(), &plan.vertices, replica, &view);
+        self.morphs.tick(now);
+        match &births {
+            Some(births) => {
+                let made = self.ghosts.haunt(births, &plan.face_pairs, replica, &self.morphs, &view);
+                if made > 0 {
+                    self.morphs.hold(self.morphs.now_s() + view.duration.as_secs_f32());
+                }
+            }
+            None => self.ghosts.forget(),
+        }
+        self.morphs.begin(births.as_deref(), &plan.vertices, replica, &view);
+        self.ghosts.note_shown(&plan.vertices, &plan.face_pairs, replica);
+        let ghost_bytes = self.upload_ghosts();
         if !self.morphs.is_running() {
             return (false, 0);
         }
@@ -254,7 +284,28 @@ impl Renderer {
             changed = (0..self.morphs.len()).collect();
         }
         let bytes = self.morph_buffers.as_ref().map_or(0, |buffers| buffers.write(&self.queue, &self.morphs, &changed));
-        (true, bytes)
+        (true, bytes + ghost_bytes)
+    }
+
+    /// Makes the buffer of ghosts equal their list, and returns how many bytes that took.
+    fn upload_ghosts(&mut self) -> u64 {
+        let ghosts = self.ghosts.ghosts();
+        let data: &[u8] = bytemuck::cast_slice(ghosts.as_flattened());
+        if ghosts.is_empty() || !self.ghosts.has_changed() {
+            return 0;
+        }
+        let buffer = self.ghost_corners.get_or_insert_with(|| {
+            self.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("ghosts"),
+                size: 3 * MAX_GHOSTS as u64 * GHOST_CORNER_BYTES,
+                usage: BufferUsages::VERTEX | BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            })
+        });
+        self.queue.write_buffer(buffer, 0, data);
+        let bytes = data.len() as u64;
+        self.ghosts.note_uploaded();
+        bytes
     }
 
     /// Makes what occlusion needs. False where the device cannot: passes that read samples are beyond WebGL.
@@ -370,6 +421,14 @@ impl Renderer {
                 pass.set_bind_group(1, buffers.draw_group(), &[]);
                 pass.draw(0..corners, 0..1);
             }
+        }
+        let ghosts = 3 * self.ghosts.ghosts().len() as u32;
+        if let Some(corners) =
+            self.ghost_corners.as_ref().filter(|_| image.is_moving && image.shows_ghosts && ghosts > 0)
+        {
+            pass.set_pipeline(&self.pipelines.ghosts);
+            pass.set_vertex_buffer(0, corners.slice(..));
+            pass.draw(0..ghosts, 0..1);
         }
         if let Some((lines, count)) = &image.lines {
             pass.set_vertex_buffer(0, lines.slice(..));

@@ -6,7 +6,7 @@
 use std::ops::Range;
 
 use bytemuck::{Pod, Zeroable};
-use lodestream_protocol::mesh::Replica;
+use lodestream_protocol::mesh::{DirtySlots, Replica};
 
 /// Intervals with fewer untouched slots than this between them are written as one: a copy of 64 vertices costs less than
 /// another copy command.
@@ -51,8 +51,7 @@ impl UploadPlan {
 
     /// Bytes that the plan writes.
     pub fn bytes(&self) -> u64 {
-        let slots = |ranges: &[Range<u32>]| ranges.iter().map(|r| u64::from(r.end - r.start)).sum::<u64>();
-        slots(&self.vertices) * VERTEX_BYTES + slots(&self.face_pairs) * FACE_PAIR_BYTES
+        bytes(&self.vertices, &self.face_pairs)
     }
 }
 
@@ -66,18 +65,79 @@ pub fn plan(replica: &mut Replica, capacity_slots: u32) -> UploadPlan {
     }
     let slot_end = replica.slot_end();
     let dirty = replica.dirty_mut().expect("tracking is on");
-    let gap = MERGED_GAP_SLOTS - 1;
-    let vertices = dirty.vertex_ranges(gap);
-    let faces = dirty.face_ranges(2 * gap);
+    let (vertices, face_pairs) = intervals(dirty);
     dirty.clear();
-    // A slot that is taken anew may have only one face. The other face slot has not changed for the replica, but buffers
-    // that held another replica before do not know that, so faces go in pairs and along with their vertex.
-    let pairs = faces.into_iter().map(|r| r.start / 2..r.end.div_ceil(2)).chain(vertices.iter().cloned());
     UploadPlan {
         grow_to: (slot_end > capacity_slots).then(|| grown(capacity_slots, slot_end)),
         slot_end,
-        face_pairs: merge(pairs.collect(), gap),
+        face_pairs,
         vertices,
+    }
+}
+
+/// Bytes that [`plan`] would write now; `None` for a replica that does not track yet, which is uploaded whole. Costs as much
+/// as planning.
+pub fn planned_bytes(replica: &mut Replica) -> Option<u64> {
+    let (vertices, face_pairs) = intervals(replica.dirty_mut()?);
+    Some(bytes(&vertices, &face_pairs))
+}
+
+/// Vertex slots and pairs of face slots to write.
+fn intervals(dirty: &mut DirtySlots) -> (Vec<Range<u32>>, Vec<Range<u32>>) {
+    let gap = MERGED_GAP_SLOTS - 1;
+    let vertices = dirty.vertex_ranges(gap);
+    let faces = dirty.face_ranges(2 * gap);
+    // A slot that is taken anew may have only one face. The other face slot has not changed for the replica, but buffers
+    // that held another replica before do not know that, so faces go in pairs and along with their vertex.
+    let pairs = faces.into_iter().map(|r| r.start / 2..r.end.div_ceil(2)).chain(vertices.iter().cloned());
+    let face_pairs = merge(pairs.collect(), gap);
+    (vertices, face_pairs)
+}
+
+fn bytes(vertices: &[Range<u32>], face_pairs: &[Range<u32>]) -> u64 {
+    let slots = |ranges: &[Range<u32>]| ranges.iter().map(|r| u64::from(r.end - r.start)).sum::<u64>();
+    slots(vertices) * VERTEX_BYTES + slots(face_pairs) * FACE_PAIR_BYTES
+}
+
+/// How much may be uploaded for one image, held to batch by batch: an op's upload is known once it is applied, so the next
+/// batch is judged by what its like cost.
+#[derive(Clone, Copy, Debug)]
+pub struct Allowance {
+    /// Most bytes per image.
+    pub bytes: u64,
+    /// Most bytes of uploads that a byte of ops came to lately.
+    bytes_per_op_byte: f64,
+}
+
+/// What an op byte comes to before anything is known: a split takes some 3 bytes and touches a dozen places of 24 bytes.
+const FIRST_BYTES_PER_OP_BYTE: f64 = 100.0;
+/// How much more than the costliest batch lately the next one is taken to cost: changes that lie farther apart cost more.
+const MARGIN: f64 = 1.5;
+/// How fast a costly batch is forgotten, per batch.
+const FORGETTING: f64 = 0.98;
+
+impl Allowance {
+    /// An allowance of so many bytes per image.
+    pub fn new(bytes: u64) -> Self {
+        Self { bytes, bytes_per_op_byte: FIRST_BYTES_PER_OP_BYTE }
+    }
+
+    /// Whether a batch of so many bytes of ops may be applied for this image when `planned` bytes are to be uploaded already.
+    /// The first one may always: otherwise nothing would ever be.
+    pub fn admits(&self, planned: u64, op_bytes: usize) -> bool {
+        planned == 0 || planned.saturating_add(self.estimate(op_bytes)) <= self.bytes
+    }
+
+    /// What a batch of so many bytes of ops may come to.
+    pub fn estimate(&self, op_bytes: usize) -> u64 {
+        (MARGIN * self.bytes_per_op_byte * op_bytes as f64) as u64
+    }
+
+    /// A batch of so many bytes of ops raised what is planned from `before` to `after`.
+    pub fn learn(&mut self, before: u64, after: u64, op_bytes: usize) {
+        // Small batches cost more per byte than large ones, and are no danger.
+        let measured = after.saturating_sub(before) as f64 / op_bytes.max(64) as f64;
+        self.bytes_per_op_byte = measured.max(self.bytes_per_op_byte * FORGETTING);
     }
 }
 

@@ -157,6 +157,9 @@ fn missing_tools() -> Vec<String> {
     if cfg!(target_os = "linux") && !drivers.iter().any(|dir| Path::new(dir).is_dir()) {
         missing.push("images: no Vulkan driver (Debian: mesa-vulkan-drivers)".into());
     }
+    if cfg!(target_os = "linux") && !Path::new("/usr/bin/Xvfb").is_file() {
+        missing.push("window: no display for its tests (Debian: xvfb)".into());
+    }
     if !wasm_toolchain() {
         missing.push("browser build: no wasm32 toolchain (Debian: rustc-web cargo-web rust-web-src lld-19)".into());
     }
@@ -215,7 +218,7 @@ fn soak(ops: &str) -> Result<()> {
 }
 
 fn setup() -> Result<()> {
-    let packages = ["mesa-vulkan-drivers", "rustc-web", "cargo-web", "rust-web-src", "lld-19", "chromium"];
+    let packages = ["mesa-vulkan-drivers", "xvfb", "rustc-web", "cargo-web", "rust-web-src", "lld-19", "chromium"];
     // A node that came another way is as good, and Debian's may not go with it.
     let node: &[&str] = if browser::has_node() { &[] } else { &["nodejs", "npm"] };
     run("apt-get", &["update", "-qq"], &[])?;

@@ -39,6 +39,8 @@ pub enum Command {
     Tool(Tool),
     /// Sets a mark at a point of the image, in pixels.
     Pick([f64; 2]),
+    /// Goes on asking for the view as it is now, whose edges are drawn, while the camera looks at it from elsewhere.
+    Freeze(bool),
     /// Removes the marks.
     ClearMarks,
     /// Goes to the view of a link, with its settings.
@@ -72,6 +74,7 @@ impl Command {
                 _ => Tool::Look,
             }),
             "pick" => Self::Pick(pixel()?),
+            "freeze" => Self::Freeze(value == "on"),
             "clear" => Self::ClearMarks,
             "open" => Self::Open(value.into()),
             "record" if value == "on" => Self::Record,

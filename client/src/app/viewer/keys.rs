@@ -20,6 +20,8 @@ pub(super) enum KeyAction {
     Do(Command),
     /// Switches between parallel rays and a pinhole.
     ToggleOrthographic,
+    /// Freezes the view that is asked for, or lets it follow the camera again.
+    ToggleFrozen,
     /// Switches a tool on, or off if it is on.
     Toggle(Tool),
 }
@@ -55,6 +57,7 @@ pub(super) fn action(code: &str, shift: bool) -> Option<KeyAction> {
         "Digit6" => view(StandardView::Bottom),
         "Digit7" => view(StandardView::Iso),
         "KeyO" => Some(ToggleOrthographic),
+        "KeyV" => Some(ToggleFrozen),
         "KeyM" => Some(Toggle(Tool::Measure)),
         "KeyG" => Some(Toggle(Tool::Fly)),
         "Escape" => Some(Do(Command::ClearMarks)),

@@ -35,6 +35,8 @@ use crate::camera::gesture::{Gesture, Pointers, Press};
 use crate::camera::navigate::Navigator;
 use crate::camera::{Bounds, Camera, Detail, Viewport};
 use crate::core::{ClientConfig, ClientSession};
+use crate::render::lines::frustum;
+use crate::render::upload::{Allowance, planned_bytes};
 use crate::render::{DrawStats, Line, RenderCamera, RenderOptions};
 use command::{Command, Event, Tool};
 use connection::Connection;
@@ -55,8 +57,6 @@ pub const FOV_Y_RAD: f32 = std::f32::consts::FRAC_PI_4;
 const BYTES_PER_TRIANGLE: u64 = 160;
 /// Bytes of the GPU's buffers per slot (two triangles): vertices, corners, links and normals.
 const GPU_BYTES_PER_SLOT: u64 = 16 + 24 + 28 + 32 + 24;
-/// What a touched slot costs to upload before anything was measured.
-const BYTES_PER_TOUCH: f64 = 60.0;
 /// Pixels of a wheel for a factor e.
 const WHEEL_PX: f64 = 500.0;
 /// How long a point under a resting cursor is good for.
@@ -185,6 +185,8 @@ pub struct Viewer {
     kept: Option<ClientSession>,
     probe: Option<(Probe, bool)>,
     requests: VecDeque<Request>,
+    /// The camera that views are asked for, where that is not the one that looks.
+    frozen: Option<Camera>,
     marks: Vec<Mark>,
     next_mark: u32,
     recorder: Option<Recorder>,
@@ -196,8 +198,7 @@ pub struct Viewer {
     figures: Figures,
     received: Meter,
     images: Meter,
-    bytes_per_touch: f64,
-    touches: usize,
+    allowance: Allowance,
     sent_bytes: u64,
     received_bytes: u64,
     needs_image: bool,
@@ -224,6 +225,7 @@ impl Viewer {
             kept: None,
             probe: None,
             requests: VecDeque::new(),
+            frozen: None,
             marks: Vec::new(),
             next_mark: 0,
             recorder: None,
@@ -234,8 +236,7 @@ impl Viewer {
             figures: Figures::default(),
             received: Meter::default(),
             images: Meter::default(),
-            bytes_per_touch: BYTES_PER_TOUCH,
-            touches: 0,
+            allowance: Allowance::new(options.upload_allowance),
             sent_bytes: 0,
             received_bytes: 0,
             needs_image: true,
@@ -404,6 +405,7 @@ impl Viewer {
                 let is_on = self.navigator.as_ref().is_some_and(Navigator::is_orthographic);
                 self.command(now, Command::Orthographic(!is_on));
             }
+            KeyAction::ToggleFrozen => self.command(now, Command::Freeze(self.frozen.is_none())),
             KeyAction::Toggle(tool) => {
                 self.command(now, Command::Tool(if self.tool == tool { Tool::Look } else { tool }));
             }
@@ -427,6 +429,10 @@ impl Viewer {
             Command::Set { key, value } => self.set(now, &key, &value),
             Command::Tool(tool) => self.tool = tool,
             Command::Pick(at_px) => self.pick(now, at_px),
+            Command::Freeze(is_on) => {
+                let camera = self.navigator.as_ref().map(Navigator::camera);
+                self.frozen = camera.filter(|_| is_on);
+            }
             Command::ClearMarks => self.marks.clear(),
             Command::Open(link) => self.open_link(now, &link),
             Command::Record => self.recorder = Some(Recorder::new(now)),
@@ -524,13 +530,7 @@ impl Viewer {
             self.drawn_generation = Some((is_kept, generation));
             replica.track_dirty();
         }
-        self.touches = replica.dirty_mut().map_or(0, |dirty| dirty.touches());
-        let camera = RenderCamera {
-            eye: camera.eye,
-            rotation: camera.orientation,
-            projection: camera.projection,
-            near: camera.near,
-        };
+        let camera = render_camera(&camera);
         Some(Scene { replica, lattice, camera, options })
     }
 
@@ -541,10 +541,6 @@ impl Viewer {
         self.last_image = Some(now);
         self.images.add(now, 1.0);
         let triangles = self.shown().map_or(0, |session| session.stats().triangles);
-        if self.touches > 200 && stats.uploaded_bytes > 0 {
-            let measured = stats.uploaded_bytes as f64 / self.touches as f64;
-            self.bytes_per_touch += 0.3 * (measured - self.bytes_per_touch);
-        }
         self.figures.uploaded_bytes = stats.uploaded_bytes;
         self.figures.most_uploaded_bytes = self.figures.most_uploaded_bytes.max(stats.uploaded_bytes);
         let wanted = self.settings.images_per_s.fixed().unwrap_or(AUTO_IMAGES_PER_S);
@@ -631,12 +627,24 @@ impl Viewer {
         self.shown()?.replica()
     }
 
-    /// The marks and the line between them, to be drawn on top of the mesh.
+    /// The line between the marks and the edges of a frozen view, to be drawn on top of the mesh.
     pub fn lines(&self) -> Vec<Line> {
-        match self.marks[..] {
+        let mut lines = match self.marks[..] {
             [a, b] => vec![Line { from: a.point, to: b.point, color: MARK_COLOR }],
             _ => Vec::new(),
+        };
+        if let Some((camera, model)) = self.frozen.zip(self.model()) {
+            let bounds = Bounds::of(model);
+            let depth = (bounds.center - camera.eye).dot(camera.forward()) + bounds.radius;
+            let depth = depth.max(0.1 * bounds.radius);
+            lines.extend(frustum(&render_camera(&camera), self.options.viewport.aspect(), depth, MARK_COLOR));
         }
+        lines
+    }
+
+    /// Whether the view that is asked for stays while the camera moves.
+    pub fn is_frozen(&self) -> bool {
+        self.frozen.is_some()
     }
 
     /// The marks, at most two.
@@ -721,15 +729,12 @@ impl Viewer {
     /// Applies batches until their uploads fill the allowance. The mesh that is not on screen has no uploads, and its
     /// batches are applied in the same amounts.
     fn apply(&mut self, now: Timestamp) {
-        let before = self.session.stats().op_bytes;
-        while self.session.has_ready() {
-            let touches = match self.session.replica_mut().and_then(|replica| replica.dirty_mut().map(|d| d.touches()))
-            {
-                Some(touches) if self.kept.is_none() => touches as f64 * self.bytes_per_touch,
-                // A byte of ops touches some four slots.
-                _ => (self.session.stats().op_bytes - before) as f64 * 4.0 * self.bytes_per_touch,
-            };
-            if touches >= self.options.upload_allowance as f64 / 2.0 {
+        let mut unseen = 0;
+        while let Some(op_bytes) = self.session.next_op_bytes() {
+            // A mesh that was never drawn is uploaded whole, whatever is applied before.
+            let seen = self.planned_bytes();
+            let planned = seen.unwrap_or(unseen);
+            if !self.allowance.admits(planned, op_bytes) {
                 break;
             }
             if let Err(error) = self.session.apply_ready(now, 1) {
@@ -738,11 +743,21 @@ impl Viewer {
                 self.connection.note_fault(now, &with_causes(&error));
                 return;
             }
+            match self.planned_bytes().filter(|_| seen.is_some()) {
+                Some(after) if op_bytes > 0 => self.allowance.learn(planned, after, op_bytes),
+                _ => unseen += self.allowance.estimate(op_bytes),
+            }
         }
         if self.kept.as_ref().is_some_and(|kept| !is_better(kept, &self.session)) {
             self.kept = None;
             self.drawn_generation = None;
         }
+    }
+
+    /// What is to be uploaded for the mesh on screen, if that is the session's.
+    fn planned_bytes(&mut self) -> Option<u64> {
+        let replica = self.session.replica_mut().filter(|_| self.kept.is_none())?;
+        planned_bytes(replica)
     }
 
     fn tick_probe(&mut self, now: Timestamp) {
@@ -939,7 +954,7 @@ impl Viewer {
             return;
         }
         let Some(navigator) = &self.navigator else { return };
-        let view = self.view(&navigator.camera());
+        let view = self.view(&self.frozen.unwrap_or_else(|| navigator.camera()));
         let before = self.session.view().map(|(seq, _)| seq);
         // A camera at the edge of what numbers can hold gives no view; the one before stays.
         if let Ok(seq) = self.session.set_view(now, view)
@@ -1003,6 +1018,11 @@ impl Viewer {
         let probe = self.probe.as_ref().map(|(probe, _)| probe.poll_timeout());
         [image, self.session.poll_timeout(), self.connection.poll_timeout(), probe].into_iter().flatten().min()
     }
+}
+
+/// A camera in the renderer's terms.
+fn render_camera(camera: &Camera) -> RenderCamera {
+    RenderCamera { eye: camera.eye, rotation: camera.orientation, projection: camera.projection, near: camera.near }
 }
 
 /// Whether the mesh of `kept` is better to look at than that of `fresh`.

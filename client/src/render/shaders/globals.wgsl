@@ -32,6 +32,7 @@ struct Globals {
 const DETAIL_WIREFRAME: u32 = 1u;
 const DETAIL_LEVELS: u32 = 2u;
 const DETAIL_FACING: u32 = 4u;
+const DETAIL_FLAT: u32 = 8u;
 
 // 16 bytes, as GpuVertex in upload.rs.
 struct Vertex {

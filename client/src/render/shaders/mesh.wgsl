@@ -233,3 +233,37 @@ fn fragment_flat_discard(in: Surface, @builtin(front_facing) is_front: bool) -> 
     }
     return cut_color(is_front, color);
 }
+
+// Ghosts of faces that collapses have taken away: as they were, fading over what is there now.
+
+@vertex
+fn vertex_ghost(
+    @location(0) position: vec3<f32>,
+    @location(1) normal: vec3<f32>,
+    @location(2) color: vec4<f32>,
+    @location(3) begin_s: f32,
+    @location(4) rate_per_s: f32,
+) -> GhostSurface {
+    let s = surface(position, color.rgb, normal);
+    let t = clamp((globals.morph_now_s - begin_s) * rate_per_s, 0.0, 1.0);
+    return GhostSurface(s.clip, s.relative, s.color, s.normal, 1.0 - t);
+}
+
+struct GhostSurface {
+    @builtin(position) clip: vec4<f32>,
+    @location(0) relative: vec3<f32>,
+    @location(1) @interpolate(perspective, centroid) color: vec3<f32>,
+    @location(2) @interpolate(perspective, centroid) normal: vec3<f32>,
+    @location(3) opacity: f32,
+}
+
+@fragment
+fn fragment_ghost(in: GhostSurface, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
+    let plain = Surface(in.clip, in.relative, in.color, in.normal, vec2(0.0), 0.0);
+    let flat_shade = flat_color(plain, is_front);
+    let smooth_shade = smooth_color(plain, is_front);
+    if kept(in.relative) < 0.0 {
+        discard;
+    }
+    return vec4(select(smooth_shade, flat_shade, (globals.details & DETAIL_FLAT) != 0u).rgb, in.opacity);
+}
