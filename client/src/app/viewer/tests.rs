@@ -154,7 +154,7 @@ fn endings_are_told_apart() {
 fn uploads_stop_at_the_allowance_and_go_on_with_the_next_image() {
     let (mut viewer, mut server) = settled();
     draw(&mut viewer, at(300));
-    viewer.options.upload_allowance = 20_000;
+    viewer.allowance.bytes = 20_000;
     for _ in 0..40 {
         viewer.handle_frame(at(400), Wire::Main, &server.batch(ViewSeq(1), 20));
     }
