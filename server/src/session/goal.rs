@@ -6,7 +6,7 @@
 
 use lodestream_protocol::view::View;
 
-use super::front::Front;
+use super::front::{Effort, Front};
 use super::mirror::Mirror;
 use super::order::sending_order;
 use super::score::Scorer;
@@ -40,6 +40,8 @@ pub(super) struct Aim {
     pub(super) tested: u32,
     /// Pages that have to be read before this is all, see [`select`](super::select::Selection::missing).
     pub(super) missing: Vec<PageId>,
+    /// Whether [`Effort::Exact`] may find more.
+    pub(super) is_rough: bool,
 }
 
 impl Goal {
@@ -62,12 +64,13 @@ impl Goal {
         access: PageAccess,
         view: &View,
         mirror: &Mirror,
+        effort: Effort,
     ) -> Result<Aim, PackError> {
         let scorer = Scorer::new(view, model.info());
         if !Front::follows(view) {
             return self.walk(model, access, view, mirror, &scorer);
         }
-        let update = self.front.update(model, &scorer, view, access)?;
+        let update = self.front.update(model, &scorer, view, access, effort)?;
         if update.has_failed {
             self.front = Front::default();
             return self.walk(model, access, view, mirror, &scorer);
@@ -94,6 +97,7 @@ impl Goal {
             is_limited: update.is_limited,
             tested: update.tested,
             missing: update.missing,
+            is_rough: update.is_rough,
         })
     }
 
@@ -117,6 +121,7 @@ impl Goal {
             is_limited: selection.is_limited,
             tested: 0,
             missing: selection.missing,
+            is_rough: false,
         })
     }
 }

@@ -43,6 +43,7 @@ use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::View;
 use lodestream_protocol::wire;
 
+use self::front::Effort;
 use self::goal::{Aim, Goal};
 use self::mirror::{BatchPlan, Mirror, MirrorError};
 use self::pacer::Pacer;
@@ -52,7 +53,8 @@ use self::select::PageAccess;
 pub use self::select::{ops_by_error, ops_for_view};
 use crate::pack::{PackError, PackedModel, PageId};
 
-/// How long after the last view an op stays although its priority fell a little below the threshold.
+/// How long after the last view an op stays although its priority fell a little below the threshold, and what a triangle limit leaves may
+/// be missing.
 const HYSTERESIS: Duration = Duration::from_millis(250);
 /// Share of the threshold above which an op stays for that long.
 const HYSTERESIS_SHARE: f32 = 0.7;
@@ -267,6 +269,8 @@ struct Work {
     missing: Vec<PageId>,
     /// Whether [`Session::poll_wanted`] has named them.
     is_announced: bool,
+    /// Whether this is not yet all of P*: the view has not rested.
+    is_rough: bool,
 }
 
 impl Session {
@@ -425,13 +429,18 @@ impl Session {
         let (Some(mirror), Some(current)) = (&mut running.mirror, &running.view) else {
             return Err(SessionError::Internal("a session has lost its mirror".into()));
         };
+        let has_rested = now.since(current.received_at) >= HYSTERESIS;
+        if has_rested && running.work.as_ref().is_some_and(|work| work.is_rough) {
+            running.work = None;
+        }
         if running.work.is_none() {
-            let aim = running.goal.aim(&self.model, self.access, &current.view, mirror)?;
+            let effort = if has_rested { Effort::Exact } else { Effort::Moving };
+            let aim = running.goal.aim(&self.model, self.access, &current.view, mirror, effort)?;
             self.stats.tested += u64::from(aim.tested);
             running.work = Some(Work::new(self.access, aim, mirror));
         }
         let work = running.work.as_mut().expect("made above");
-        if now.since(current.received_at) >= HYSTERESIS && work.missing.is_empty() {
+        if has_rested && work.missing.is_empty() {
             work.reluctant = SlotSet::default();
         }
         if let Some(mut plan) = work.next_batch(&self.model, mirror, current.view.triangle_limit, allowance)? {
@@ -510,8 +519,8 @@ impl Session {
             return None;
         }
         // Once the view has rested, or where pages are missing, nothing but a frame from the client changes what can be sent.
-        let is_reluctant = work.is_some_and(|work| work.missing.is_empty() && !work.reluctant.is_empty());
-        let rested = is_reluctant.then_some(current.received_at + HYSTERESIS);
+        let has_more = |work: &Work| work.is_rough || work.missing.is_empty() && !work.reluctant.is_empty();
+        let rested = work.is_some_and(has_more).then_some(current.received_at + HYSTERESIS);
         [running.pacer.next_refill(), rested].into_iter().flatten().min()
     }
 
@@ -649,6 +658,7 @@ impl Work {
             is_limited: aim.is_limited,
             is_announced: access == PageAccess::Blocking,
             missing: aim.missing,
+            is_rough: aim.is_rough,
         }
     }
 
@@ -657,7 +667,7 @@ impl Work {
     }
 
     fn is_done(&self) -> bool {
-        self.next == self.pending.len() && self.stale.is_empty() && self.missing.is_empty()
+        self.next == self.pending.len() && self.stale.is_empty() && self.missing.is_empty() && !self.is_rough
     }
 
     /// Whether nothing is left to do before a page was read.

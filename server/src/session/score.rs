@@ -4,6 +4,7 @@ use glam::DVec3;
 use lodestream_protocol::message::ModelInfo;
 use lodestream_protocol::view::{Plane, Projection, View};
 
+use super::front::{FACING_SHARE, FRUSTUM_SHARE};
 use crate::pack::record::{Bounds, Cone};
 
 /// A view in lattice coordinates, ready to judge visibility spheres.
@@ -61,14 +62,34 @@ impl Scorer {
         self.silhouette_factor
     }
 
-    /// Depths below which sizes grow no more, in lattice steps.
+    /// Depths below which sizes grow no more, in lattice steps; 0 for parallel rays.
     pub(super) fn near(&self) -> f64 {
-        self.near
+        if self.parallel.is_some() { 0.0 } else { self.near }
     }
 
-    /// A box that holds the centres of all that [`probe`](Self::probe) lets wait; `None` where rays are parallel.
-    pub(super) fn tested_box(&self) -> Option<[DVec3; 2]> {
-        self.parallel.is_none().then_some(self.tested_box)
+    /// A box that holds the centres of nearly all spheres of the model. It is the same for all views.
+    pub(super) fn tested_box(&self) -> [DVec3; 2] {
+        self.tested_box
+    }
+
+    /// Planes of the frustum and others that cut the view, normals inward.
+    pub(super) fn planes(&self) -> &[Plane] {
+        &self.planes
+    }
+
+    /// Viewing direction.
+    pub(super) fn forward(&self) -> DVec3 {
+        self.forward
+    }
+
+    /// Smallest depth over distance inside the frustum.
+    pub(super) fn corner_cosine(&self) -> f64 {
+        self.corner_cosine
+    }
+
+    /// Whether rays are parallel: sizes do not go by depth.
+    pub(super) fn is_parallel(&self) -> bool {
+        self.parallel.is_some()
     }
 
     /// The eye, in lattice steps.
@@ -201,10 +222,6 @@ impl Scorer {
             pixels *= self.silhouette_factor;
         }
         let depth_moves = self.parallel.is_none();
-        let [low, high] = self.tested_box;
-        // What lies outside may move farther than the box: it is tested each time.
-        let is_boxed = center.cmpge(low).all() && center.cmple(high).all();
-        let distance = if is_boxed { distance } else { f64::INFINITY };
         Probe {
             inside,
             is_away: facing == Facing::Away && self.culls_facing_away,
@@ -213,6 +230,7 @@ impl Scorer {
             depth,
             depth_moves,
             pixels,
+            center,
             distance,
         }
     }
@@ -278,8 +296,8 @@ impl Scorer {
     }
 }
 
-/// What decides about an op, and how far the camera may move before the decision may change. Motions are in lattice steps: the
-/// way of the eye plus the angle it turns by, in radians, times the distance to the sphere's centre (ALGORITHMS 3.2).
+/// What decides about an op, and how far what decides may change before the decision may: in lattice steps, by what each kind counts,
+/// see [`front`](super::front).
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Probe {
     /// How far inside the frustum the sphere reaches, negative outside.
@@ -293,8 +311,10 @@ pub(super) struct Probe {
     /// Whether pixels go by depth at all.
     depth_moves: bool,
     pixels: f64,
-    /// From the eye to the sphere's centre.
-    pub(super) distance: f64,
+    /// Of the sphere.
+    pub(super) center: DVec3,
+    /// From the eye to that.
+    distance: f64,
 }
 
 /// Share of a depth that its rounding may come to, generously.
@@ -313,32 +333,34 @@ impl Probe {
         if self.is_out() { 0.0 } else { self.pixels as f32 }
     }
 
-    /// Motion after which an op may cease to be seen at over `guard` pixels; at least so many are seen now.
+    /// Its size by itself.
     #[inline]
-    pub(super) fn stays_over(&self, guard: f64) -> f64 {
-        let cull = self.inside.min(-self.away);
-        let slack = match self.depth_moves {
-            true => cull.min(self.error / guard - self.depth),
-            false if self.error > guard => cull,
-            // It owes that to the factor of silhouettes.
-            false => 0.0,
-        };
-        slack - ROUNDING * self.distance
+    pub(super) fn size(&self) -> Size {
+        let rounding = ROUNDING * self.distance;
+        let depth = if self.depth_moves { self.depth } else { 1.0 };
+        Size { pixels: self.error, least_depth: depth - rounding, most_depth: depth + rounding }
     }
 
-    /// Motion after which an op may be seen at over `guard` pixels, being smaller (`factor` is that of silhouettes) or out of
-    /// sight now; and whether only the latter keeps it out, so that the guard does not matter.
+    /// For which change it stays in sight, being so now; not positive if it is not.
     #[inline]
-    pub(super) fn stays_under(&self, guard: f64, factor: f64, near: f64) -> (f64, bool) {
-        let hidden = if self.is_out() { (-self.inside).max(self.away) } else { 0.0 };
-        let error = self.error * factor;
-        let small = match self.depth_moves {
-            _ if error <= guard * near && self.depth_moves => f64::INFINITY,
-            true => self.depth - error / guard,
-            false if error <= guard => f64::INFINITY,
-            false => 0.0,
-        };
-        let slack = hidden.max(small) - ROUNDING * self.distance;
-        (slack, self.is_out() && hidden >= small)
+    pub(super) fn stays_in_sight(&self) -> f64 {
+        (FRUSTUM_SHARE * self.inside).min(-FACING_SHARE * self.away) - ROUNDING * self.distance
     }
+
+    /// For which change it stays out of sight; not positive if it is in sight now.
+    #[inline]
+    pub(super) fn stays_hidden(&self) -> f64 {
+        let hidden = if self.is_out() { (-FRUSTUM_SHARE * self.inside).max(FACING_SHARE * self.away) } else { 0.0 };
+        hidden - ROUNDING * self.distance
+    }
+}
+
+/// The size of what a sphere stands for.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Size {
+    /// Pixels at depth 1, without the factor of silhouettes.
+    pub(super) pixels: f64,
+    /// The depth that counts, rounding included; 1 for parallel rays.
+    pub(super) least_depth: f64,
+    pub(super) most_depth: f64,
 }

@@ -3,7 +3,7 @@
 use std::collections::BinaryHeap;
 
 use super::super::select::{OpSet, pack, unpack};
-use super::rows::{Due, FILLS, WANTED};
+use super::rows::{FILLS, WANTED};
 use super::{Children, Context, Front};
 use crate::pack::record::NO_OP;
 use crate::pack::{PackError, PackedModel, Prerequisites};
@@ -24,6 +24,8 @@ pub(super) struct Filled {
     pub(super) error: f32,
     /// Nothing could be filled, see [`Update`](super::Update).
     pub(super) has_failed: bool,
+    /// Nothing was filled, see [`Effort::Moving`](super::Effort::Moving).
+    pub(super) is_rough: bool,
 }
 
 impl Filled {
@@ -99,7 +101,7 @@ impl Front {
         Ok(())
     }
 
-    /// Offers what hangs on rows whose guard lies in `low < under <= high`: among them is all of a priority over `low` that does
+    /// Offers what hangs on rows whose bound lies in `low < bound <= high`: among them is all of a priority over `low` that does
     /// not lie over `high`.
     fn seed(
         &mut self,
@@ -108,9 +110,10 @@ impl Front {
         low: f32,
         high: f32,
     ) -> Result<(), PackError> {
-        let is_in = |due: &Due| due.under > low && due.under <= high;
+        let near = super::down(context.scorer.near());
+        let is_in = |bound: f32| bound > low && bound <= high;
         for row in 0..self.rows.ops.len() {
-            if is_in(&self.rows.dues[row]) && self.rows.states[row].flags & WANTED != 0 {
+            if is_in(self.most_below(row, near)) && self.rows.states[row].flags & WANTED != 0 {
                 for child in Children::of(context.model, self.rows.ops[row])? {
                     self.offer(context, heap, child)?;
                 }
@@ -122,10 +125,10 @@ impl Front {
             if op >= seen {
                 self.look_at_spawn(context, op as u32)?;
                 // It is no larger than what was not looked at, so it may lie anywhere below.
-                if self.spawns[op].due.under > low {
+                if self.most_of_spawn_row(op as u32, near) > low {
                     self.offer(context, heap, op as u32)?;
                 }
-            } else if is_in(&self.spawns[op].due) {
+            } else if is_in(self.most_of_spawn_row(op as u32, near)) {
                 self.offer(context, heap, op as u32)?;
             }
         }

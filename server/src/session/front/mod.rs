@@ -4,8 +4,8 @@
 //! - the *wanted* ops, of priority over a threshold. Priorities fall along the vertex forest, so only wanted ops without wanted
 //!   children may cease to be, and only their unwanted children may begin to;
 //! - their closure under parents, by counting for each op the members that have it as a parent;
-//! - for each wanted op, how far the camera may move and how far the threshold before one of these answers may change
-//!   (ALGORITHMS 3.2). An update looks at the rows that are due, found by a scan of 12 bytes a row.
+//! - for each wanted op, how far what the camera sees there may move, and how far the threshold, before one of these answers may change
+//!   ([`motion`]). An update looks at the rows that are due, found by a scan of 16 bytes a row.
 //!
 //! The threshold is the tolerance as long as the closure fits the triangle limit. Where it does not, the threshold stays where the closure
 //! takes 98.5 to 100 % of the limit, and the rest is filled best-first, in the order that `select` has, anew for each view.
@@ -18,12 +18,13 @@ mod rows;
 
 use std::collections::HashMap;
 
-use glam::DQuat;
+use glam::{DQuat, DVec3};
 use lodestream_protocol::view::View;
 
 pub(super) use self::fill::Closure;
-use self::motion::Motion;
-use self::rows::{Due, FILLS, Rows, TOUCHED, WANTED, WAS_MEMBER};
+pub(super) use self::motion::{FACING_SHARE, FRUSTUM_SHARE};
+use self::motion::{Motion, Wait};
+use self::rows::{Due, FILLS, Half, Rows, TOUCHED, WANTED, WAS_MEMBER};
 use super::score::{Probe, Scorer};
 use super::select::PageAccess;
 use crate::pack::record::NO_OP;
@@ -33,6 +34,9 @@ use crate::pack::{PAGE_OPS, PackError, PackedModel, PageId};
 const LOW_WATER: f64 = 0.985;
 /// Where an adjusted threshold aims.
 const AIM: f64 = 0.994;
+/// The same while the camera moves: a threshold that is moved seldom costs less, and nobody sees a twentieth of the triangles missing.
+const MOVING_LOW_WATER: f64 = 0.96;
+const MOVING_AIM: f64 = 0.985;
 /// How the size of a closure falls with the threshold: by about the power -1.6.
 const THRESHOLD_POWER: f64 = 0.6;
 /// Where a threshold of zero is raised to.
@@ -41,6 +45,15 @@ const SMALLEST_THRESHOLD: f32 = 1.0 / 1024.0;
 const MOST_RAISES: u32 = 80;
 /// A closure that outgrows the limit by this share is given up and the threshold raised.
 const OVERSHOOT: u32 = 4;
+
+/// How far an update goes where the triangle limit binds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Effort {
+    /// To a set that is closed under parents and takes nearly all of the limit: the next view will come at once.
+    Moving,
+    /// To P*.
+    Exact,
+}
 
 /// What an update changed, and what the set is now.
 #[derive(Debug, Default)]
@@ -57,6 +70,8 @@ pub(crate) struct Update {
     pub(crate) missing: Vec<PageId>,
     /// No threshold was found: the front is to be dropped.
     pub(crate) has_failed: bool,
+    /// Whether [`Effort::Exact`] may find more.
+    pub(crate) is_rough: bool,
     /// Rows that were looked at, for measurements.
     pub(crate) tested: u32,
 }
@@ -85,7 +100,7 @@ pub(crate) struct Front {
 #[derive(Clone, Copy, Debug)]
 struct SpawnRow {
     due: Due,
-    band: u8,
+    cell: u8,
 }
 
 /// What an update works with.
@@ -123,47 +138,78 @@ impl Pages<'_> {
     }
 }
 
-/// The least of several due times.
-struct Earliest {
-    slack: f64,
-    distance: f64,
-    under: f32,
-    over: f32,
+/// What several tests wait for, together.
+struct Together {
+    /// A box around the centres of what was tested.
+    low: DVec3,
+    high: DVec3,
+    /// See [`Due`].
+    least_depth: f64,
+    small: f64,
+    most_depth: f64,
+    large: f64,
+    appears: f64,
+    vanishes: f64,
 }
 
-impl Earliest {
-    const NEVER: Self = Self { slack: f64::INFINITY, distance: 0.0, under: f32::NEG_INFINITY, over: f32::INFINITY };
+impl Together {
+    const NOTHING: Self = Self {
+        low: DVec3::INFINITY,
+        high: DVec3::NEG_INFINITY,
+        least_depth: f64::INFINITY,
+        small: 0.0,
+        most_depth: 0.0,
+        large: f64::INFINITY,
+        appears: f64::INFINITY,
+        vanishes: f64::INFINITY,
+    };
 
-    fn add(&mut self, distance: f64, slack: f64) {
-        self.distance = self.distance.max(distance);
-        // Beyond that, distances might have doubled.
-        self.slack = self.slack.min(slack.min(distance));
-    }
-
-    /// The op stays out, being of that priority.
-    fn stays_out(&mut self, probe: &Probe, priority: f32, threshold: f32, scorer: &Scorer) {
-        // Nearer to the threshold, which also bounds the priority: see `Front::error`.
-        let share = f64::from(priority / threshold).max(1e-6).sqrt().sqrt();
-        let guard = if threshold > 0.0 { f64::from(threshold) * share } else { 0.0 };
-        let (slack, is_hidden) = probe.stays_under(guard, scorer.silhouette_factor(), scorer.near());
-        self.add(probe.distance, slack);
-        if !is_hidden {
-            self.under = self.under.max((guard as f32).next_up());
+    /// The op stays out.
+    #[inline]
+    fn stays_out(&mut self, probe: &Probe, threshold: f32, scorer: &Scorer) {
+        (self.low, self.high) = (self.low.min(probe.center), self.high.max(probe.center));
+        let size = probe.size();
+        let pixels = size.pixels * scorer.silhouette_factor();
+        let hidden = probe.stays_hidden();
+        // Of the reasons to stay out that which will hold for longer.
+        let is_long = !(hidden < size.least_depth - pixels / f64::from(threshold));
+        if hidden > 0.0 && is_long {
+            self.appears = self.appears.min(hidden);
+        } else {
+            (self.small, self.least_depth) = (self.small.max(pixels), self.least_depth.min(size.least_depth));
         }
     }
 
     /// The op stays wanted.
-    fn stays_in(&mut self, probe: &Probe, priority: f32, threshold: f32, is_at_tolerance: bool) {
-        let guard =
-            if is_at_tolerance { threshold } else { (threshold * priority).sqrt().max(threshold).min(priority) };
-        self.add(probe.distance, probe.stays_over(f64::from(guard)));
-        self.over = self.over.min(guard.min(f32::MAX));
+    #[inline]
+    fn stays_in(&mut self, probe: &Probe) {
+        (self.low, self.high) = (self.low.min(probe.center), self.high.max(probe.center));
+        let size = probe.size();
+        (self.large, self.most_depth) = (size.pixels, size.most_depth);
+        self.vanishes = probe.stays_in_sight();
     }
 
-    fn due(&self, motion: &Motion) -> (u8, Due) {
-        let (band, motion) =
-            if self.slack == f64::INFINITY { (0, f32::INFINITY) } else { motion.due(self.distance, self.slack) };
-        (band, Due { motion, under: self.under, over: self.over })
+    /// When the row is due, and its cell.
+    #[inline]
+    fn due(&self, motion: &Motion) -> (Due, u8) {
+        if self.low.x > self.high.x {
+            return (Due::NEVER, 0);
+        }
+        // What lies outside may move farther than the box: it is tested each time.
+        let found = motion.cell(self.low, self.high);
+        let cell = found.unwrap_or(0);
+        let due = Due {
+            least_depth: if self.small > 0.0 { motion.least(cell, self.least_depth) } else { 1.0 },
+            most_depth: motion.most(cell, self.most_depth),
+            small: if self.small > 0.0 { Half::above(up(self.small)) } else { Half::ZERO },
+            large: Half::below(down(self.large)),
+            appears: match found {
+                Some(cell) => Half::below(motion.due(cell, Wait::Appearing, self.appears)),
+                None => Half::below(f32::NEG_INFINITY),
+            },
+            vanishes: Half::below(motion.due(cell, Wait::Vanishing, self.vanishes)),
+        };
+        (due, cell)
     }
 }
 
@@ -197,11 +243,12 @@ impl Front {
         scorer: &Scorer,
         view: &View,
         access: PageAccess,
+        effort: Effort,
     ) -> Result<Update, PackError> {
         let pages = Pages { model, access, missing: HashMap::new() };
         let mut context = Context { model, scorer, pages, limit: view.triangle_limit, tested: 0 };
         self.begin(&mut context, view);
-        let filled = self.adjust(&mut context)?;
+        let filled = self.adjust(&mut context, effort)?;
         let mut out = Update {
             lambda: scorer.threshold(),
             missing: ordered(context.pages.missing),
@@ -209,6 +256,7 @@ impl Front {
             ..Update::default()
         };
         out.has_failed = filled.is_some_and(|filled| filled.has_failed);
+        out.is_rough = filled.is_some_and(|filled| filled.is_rough);
         match filled {
             Some(filled) if filled.is_limited => {
                 (out.lambda, out.error, out.is_limited) = (filled.lambda, filled.error, true)
@@ -262,18 +310,16 @@ impl Front {
             });
             self.spawns.iter_mut().for_each(|spawn| spawn.due = Due::NOW);
         }
-        if let Some(sums) = self.motion.go_on(context.scorer.eye(), view.rotation(), context.scorer.tested_box()) {
-            let dues = self.rows.dues.iter_mut().zip(&self.rows.states).map(|(due, state)| (due, state.band));
-            let spawns = self.spawns.iter_mut().map(|spawn| (&mut spawn.due, spawn.band));
-            for (due, band) in dues.chain(spawns) {
-                due.motion = (due.motion - sums[usize::from(band)]).next_down();
-            }
+        if let Some(sums) = self.motion.go_on(context.scorer, view.rotation()) {
+            let dues = self.rows.dues.iter_mut().zip(&self.rows.states).map(|(due, state)| (due, state.cell));
+            let spawns = self.spawns.iter_mut().map(|spawn| (&mut spawn.due, spawn.cell));
+            dues.chain(spawns).for_each(|(due, cell)| due.rebase(&sums[usize::from(cell)]));
         }
         self.drop_fills();
     }
 
     /// Brings the wanted ops up to date, finds the threshold at which their closure fits, and fills the rest.
-    fn adjust(&mut self, context: &mut Context<'_>) -> Result<Option<fill::Filled>, PackError> {
+    fn adjust(&mut self, context: &mut Context<'_>, effort: Effort) -> Result<Option<fill::Filled>, PackError> {
         let tolerance = context.scorer.threshold();
         let limit = context.limit;
         let mut steps = 0;
@@ -291,7 +337,11 @@ impl Front {
                 return Ok(None);
             }
             let share = f64::from(self.triangles) / f64::from(limit.max(1));
-            let factor = (share / AIM).powf(THRESHOLD_POWER) as f32;
+            let (low_water, aim) = match effort {
+                Effort::Moving => (MOVING_LOW_WATER, MOVING_AIM),
+                Effort::Exact => (LOW_WATER, AIM),
+            };
+            let factor = (share / aim).powf(THRESHOLD_POWER) as f32;
             if self.triangles > limit {
                 too_low = Some(self.threshold);
                 let is_far = self.triangles > limit.saturating_add(limit / OVERSHOOT) || steps > 40;
@@ -307,7 +357,7 @@ impl Front {
             if self.threshold <= tolerance {
                 return Ok(None);
             }
-            if share < LOW_WATER && steps < 64 && !has_fitted {
+            if share < low_water && steps < 64 && !has_fitted {
                 let highest = if self.threshold >= f32::MAX { self.highest_root(context)? } else { f32::MAX };
                 let next = (self.threshold * factor.max(0.5)).min(highest);
                 let next = next.max(too_low.map_or(tolerance, |low| (low * self.threshold).sqrt()));
@@ -315,6 +365,10 @@ impl Front {
                     self.threshold = next;
                     continue;
                 }
+            }
+            if effort == Effort::Moving {
+                let (lambda, error) = (self.threshold, self.threshold);
+                return Ok(Some(fill::Filled { is_limited: true, is_rough: true, lambda, error, has_failed: false }));
             }
             let filled = self.fill(context)?;
             if filled.is_limited || has_fitted {
@@ -348,13 +402,11 @@ impl Front {
 
     /// Looks at all that is due and follows what that leads to.
     fn refresh(&mut self, context: &mut Context<'_>) -> Result<(), PackError> {
-        let (sums, threshold) = (*self.motion.sums(), self.threshold);
-        let is_due = |due: &Due, band: u8| {
-            due.motion <= sums[usize::from(band)] || due.under > threshold || due.over < threshold
-        };
+        let (threshold, near) = (self.threshold, down(context.scorer.near()));
         self.work.clear();
+        let sums = self.motion.sums();
         for ((due, state), &op) in self.rows.dues.iter().zip(&self.rows.states).zip(&self.rows.ops) {
-            if is_due(due, state.band) {
+            if due.is_now(&sums[usize::from(state.cell)], threshold, near) {
                 self.work.push(op);
             }
         }
@@ -373,8 +425,9 @@ impl Front {
         }
         self.see_spawns(context, threshold)?;
         for op in 0..self.spawns.len() as u32 {
-            let SpawnRow { due, band } = self.spawns[op as usize];
-            if is_due(&due, band) && self.look_at_spawn(context, op)? {
+            let SpawnRow { due, cell } = self.spawns[op as usize];
+            let is_due = due.is_now(&self.motion.sums()[usize::from(cell)], threshold, near);
+            if is_due && self.look_at_spawn(context, op)? {
                 self.work.push(op);
             }
         }
@@ -419,7 +472,7 @@ impl Front {
                 break;
             }
             let end = count.min((page + 1) * PAGE_OPS) as usize;
-            self.spawns.resize(end, SpawnRow { due: Due::NOW, band: 0 });
+            self.spawns.resize(end, SpawnRow { due: Due::NOW, cell: 0 });
         }
         Ok(())
     }
@@ -438,10 +491,10 @@ impl Front {
             self.spawns[op as usize].due = if is_wanted { Due::NEVER } else { Due::NOW };
             return Ok(is_wanted);
         }
-        let mut earliest = Earliest::NEVER;
-        earliest.stays_out(&probe, priority, self.threshold, context.scorer);
-        let (band, due) = earliest.due(&self.motion);
-        self.spawns[op as usize] = SpawnRow { due, band };
+        let mut waits = Together::NOTHING;
+        waits.stays_out(&probe, self.threshold, context.scorer);
+        let (due, cell) = waits.due(&self.motion);
+        self.spawns[op as usize] = SpawnRow { due, cell };
         Ok(false)
     }
 
@@ -453,7 +506,7 @@ impl Front {
             return Ok(());
         }
         context.tested += 1;
-        let mut earliest = Earliest::NEVER;
+        let mut waits = Together::NOTHING;
         let (mut has_wanted_child, mut is_incomplete) = (false, false);
         // What a child on a missing page matters is at most what this op does.
         let mut own = None;
@@ -475,7 +528,7 @@ impl Front {
             let probe = context.scorer.probe(&context.model.bounds(child)?);
             let priority = probe.priority();
             if priority <= self.threshold {
-                earliest.stays_out(&probe, priority, self.threshold, context.scorer);
+                waits.stays_out(&probe, self.threshold, context.scorer);
             } else if self.want(context, child, priority)? {
                 has_wanted_child = true;
                 self.work.push(child);
@@ -497,13 +550,12 @@ impl Front {
                 }
                 return Ok(());
             }
-            let is_at_tolerance = self.threshold <= context.scorer.threshold();
-            earliest.stays_in(&probe, priority, self.threshold, is_at_tolerance);
+            waits.stays_in(&probe);
         }
         let row = self.rows.find(op).expect("rows of members stay");
-        let (band, due) = earliest.due(&self.motion);
+        let (due, cell) = waits.due(&self.motion);
         self.rows.dues[row] = if is_incomplete { Due::NOW } else { due };
-        self.rows.states[row].band = band;
+        self.rows.states[row].cell = cell;
         Ok(())
     }
 
@@ -580,10 +632,24 @@ impl Front {
         row
     }
 
+    /// Not less than the priority of any op that hangs on a row and is not wanted.
+    #[inline]
+    fn most_below(&self, row: usize, near: f32) -> f32 {
+        self.rows.dues[row].most_priority(&self.motion.sums()[usize::from(self.rows.states[row].cell)], near)
+    }
+
+    /// Likewise of a spawn that is not wanted.
+    #[inline]
+    fn most_of_spawn_row(&self, spawn: u32, near: f32) -> f32 {
+        let SpawnRow { due, cell } = &self.spawns[spawn as usize];
+        due.most_priority(&self.motion.sums()[usize::from(*cell)], near)
+    }
+
     /// Largest priority of an op that is not wanted, where no limit binds.
     fn error(&self, model: &PackedModel, scorer: &Scorer, access: PageAccess) -> Result<f32, PackError> {
         let is_ready = |op: u32| access == PageAccess::Blocking || model.is_ready(PackedModel::page_of(op));
         let is_out = |op: u32| op != NO_OP && is_ready(op) && self.rows.state(op).flags & WANTED == 0;
+        let near = down(scorer.near());
         let mut error = 0f32;
         for &op in model.base_first_splits().iter().filter(|&&op| is_out(op)) {
             error = error.max(scorer.priority(&model.bounds(op)?));
@@ -602,16 +668,16 @@ impl Front {
             }
             largest = model.bounds(spawns.end - 1)?.error.decode();
             for op in spawns {
-                if self.spawns[op as usize].due.under > error && is_out(op) {
+                if self.most_of_spawn_row(op, near) > error && is_out(op) {
                     error = error.max(scorer.priority(&model.bounds(op)?));
                 }
             }
         }
-        // A row's guard bounds what its children matter, so few have to be looked at once the largest is nearly known.
+        // A row bounds what its children matter, so few have to be looked at once the largest is nearly known.
         for share in [0.9, 0.0] {
             let least = share * scorer.threshold();
             for row in 0..self.rows.ops.len() {
-                if self.rows.dues[row].under > error.max(least) && self.rows.states[row].flags & WANTED != 0 {
+                if self.most_below(row, near) > error.max(least) && self.rows.states[row].flags & WANTED != 0 {
                     for child in Children::of(model, self.rows.ops[row])?.filter(|&op| is_out(op)) {
                         error = error.max(scorer.priority(&model.bounds(child)?));
                     }
@@ -623,6 +689,19 @@ impl Front {
         }
         Ok(error)
     }
+}
+
+/// Rounded up and down.
+#[inline]
+fn up(x: f64) -> f32 {
+    let rounded = x as f32;
+    if f64::from(rounded) < x { rounded.next_up() } else { rounded }
+}
+
+#[inline]
+fn down(x: f64) -> f32 {
+    let rounded = x as f32;
+    if f64::from(rounded) > x { rounded.next_down() } else { rounded }
 }
 
 fn too_many() -> PackError {

@@ -1,5 +1,6 @@
 //! One row for each op that a front holds, found by a hash of its id and scanned as plain arrays.
 
+use super::motion::{Sums, Wait};
 use crate::pack::record::NO_OP;
 
 /// The op is wanted for its own sake.
@@ -17,8 +18,8 @@ pub(super) struct State {
     /// Members in the closure of the wanted ops that have it as a parent.
     pub(super) references: u16,
     pub(super) flags: u8,
-    /// Band of the distances of what the row was tested with, see [`Motion`](super::motion::Motion).
-    pub(super) band: u8,
+    /// Cell of what the row was tested with, see [`Motion`](super::motion::Motion).
+    pub(super) cell: u8,
 }
 
 impl State {
@@ -34,22 +35,96 @@ impl State {
     }
 }
 
-/// When a row has to be looked at again.
+/// When a row has to be looked at again: bounds of what is seen now, by the sums of its cell (see [`Motion`](super::motion::Motion)).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Due {
-    /// Motion, see [`Motion`](super::motion::Motion).
-    pub(super) motion: f32,
-    /// When the threshold falls below this.
-    pub(super) under: f32,
-    /// When it rises above this.
-    pub(super) over: f32,
+    /// Less the sum, the ops that are in sight but stay out for being small are at least that deep.
+    pub(super) least_depth: f32,
+    /// With the sum, the op itself is at most that deep.
+    pub(super) most_depth: f32,
+    /// Pixels at depth 1 of the largest of those that stay out, at most.
+    pub(super) small: Half,
+    /// Pixels at depth 1 of the op itself, at least.
+    pub(super) large: Half,
+    /// Sum at which what stays out for being out of sight may appear.
+    pub(super) appears: Half,
+    /// Sum at which the op itself may go out of sight.
+    pub(super) vanishes: Half,
 }
 
 impl Due {
     /// Never.
-    pub(super) const NEVER: Self = Self { motion: f32::INFINITY, under: f32::NEG_INFINITY, over: f32::INFINITY };
-    /// At the next update.
-    pub(super) const NOW: Self = Self { motion: f32::NEG_INFINITY, under: f32::INFINITY, over: f32::NEG_INFINITY };
+    pub(super) const NEVER: Self = Self {
+        least_depth: 1.0,
+        most_depth: 1.0,
+        small: Half::ZERO,
+        large: Half::INFINITY,
+        appears: Half::INFINITY,
+        vanishes: Half::INFINITY,
+    };
+    /// At the next update; what stays out may be of any size.
+    pub(super) const NOW: Self = Self { small: Half::INFINITY, ..Self::NEVER };
+
+    /// Whether that is now, at a threshold and in a cell with these sums. Depths count as at least `near`, which
+    /// is rounded down.
+    #[inline]
+    pub(super) fn is_now(&self, sums: &Sums, threshold: f32, near: f32) -> bool {
+        let least = (self.least_depth - sums[Wait::Nearer as usize]).max(near);
+        let most = (self.most_depth + sums[Wait::Farther as usize]).max(near.next_up());
+        // Products that are not numbers, of zero and infinity, are due. Without branches: rows are scanned by the ten thousand.
+        let stays_out = least * threshold >= self.small.get();
+        let stays_in = most * threshold < self.large.get();
+        let stays_hidden = self.appears.get() > sums[Wait::Appearing as usize];
+        let stays_in_sight = self.vanishes.get() > sums[Wait::Vanishing as usize];
+        !(stays_out & stays_in & stays_hidden & stays_in_sight)
+    }
+
+    /// Not less than the priority of any op that hangs on the row and stays out.
+    #[inline]
+    pub(super) fn most_priority(&self, sums: &Sums, near: f32) -> f32 {
+        let small = self.small.get();
+        if small == 0.0 {
+            return 0.0;
+        }
+        // Rounded, and by one more for that of the product that was compared.
+        let most = small / (self.least_depth - sums[Wait::Nearer as usize]).max(near) * (1.0 + 4.0 * f32::EPSILON);
+        if most.is_nan() { f32::INFINITY } else { most }
+    }
+
+    /// The sums of the row's cell begin at zero again.
+    pub(super) fn rebase(&mut self, sums: &Sums) {
+        self.least_depth = (self.least_depth - sums[Wait::Nearer as usize]).next_down();
+        self.most_depth = (self.most_depth + sums[Wait::Farther as usize]).next_up();
+        for (due, wait) in [(&mut self.appears, Wait::Appearing), (&mut self.vanishes, Wait::Vanishing)] {
+            *due = Half::below((due.get() - sums[wait as usize]).next_down());
+        }
+    }
+}
+
+/// A number in two bytes: the upper half of its float. The infinities are exact.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Half(u16);
+
+impl Half {
+    pub(super) const ZERO: Self = Self(0);
+    pub(super) const INFINITY: Self = Self(0x7f80);
+
+    /// The largest one not above a number; one far below what is not positive.
+    #[inline]
+    pub(super) fn below(number: f32) -> Self {
+        if number > 0.0 { Self((number.to_bits() >> 16) as u16) } else { Self(0xff80) }
+    }
+
+    /// The least one not below a number that is not negative.
+    #[inline]
+    pub(super) fn above(number: f32) -> Self {
+        Self(((number.to_bits() + 0xffff) >> 16) as u16)
+    }
+
+    #[inline]
+    pub(super) fn get(self) -> f32 {
+        f32::from_bits(u32::from(self.0) << 16)
+    }
 }
 
 const EMPTY: u32 = u32::MAX;
@@ -168,6 +243,19 @@ impl Rows {
 mod tests {
     use super::*;
     use std::collections::BTreeMap;
+
+    #[test]
+    fn halves_lie_beside_what_they_stand_for() {
+        let mut rng = fastrand::Rng::with_seed(4);
+        for number in (0..1000).map(|_| f32::from_bits(rng.u32(..f32::INFINITY.to_bits()))).chain([0.0, f32::MAX]) {
+            let (below, above) = (Half::below(number).get(), Half::above(number).get());
+            assert!(below <= number && number <= above, "{below} {number} {above}");
+            let is_near = number - below <= number / 100.0 && above - number <= number / 100.0;
+            assert!(is_near || number < 1e-30 || above == f32::INFINITY, "{below} {number} {above}");
+        }
+        assert_eq!(Half::above(f32::INFINITY), Half::INFINITY);
+        assert_eq!(Half::below(f32::INFINITY), Half::INFINITY);
+    }
 
     #[test]
     fn rows_come_and_go_like_those_of_a_map() {

@@ -89,11 +89,27 @@ impl Camera {
 fn follow(model: &PackedModel, seed: u64, views: u32) -> (u32, u64, u64) {
     let mut camera = Camera::new(model, seed);
     let (mut front, mut members) = (Front::default(), BTreeSet::new());
-    let (mut limited, mut tested, mut held) = (0, 0, 0);
+    let (mut limited, mut tested, mut held, mut roughs) = (0, 0, 0, 0);
     for number in 0..views {
         let view = camera.step(model.info().smallest_limit);
         let scorer = Scorer::new(&view, model.info());
-        let update = front.update(model, &scorer, &view, PageAccess::Blocking).unwrap();
+        if camera.rng.bool() {
+            // On the way, any closed set that nearly fills the limit will do.
+            let rough = front.update(model, &scorer, &view, PageAccess::Blocking, Effort::Moving).unwrap();
+            rough.left.iter().for_each(|op| assert!(members.remove(op), "seed {seed}, view {number}: {op}"));
+            rough.joined.iter().for_each(|op| assert!(members.insert(*op), "seed {seed}, view {number}: {op}"));
+            let mut triangles = model.base().faces.len() as u32;
+            for &op in &members {
+                assert!(front.has(op));
+                triangles += model.triangles_of(op).unwrap();
+                let parents = model.prerequisites(op).unwrap();
+                assert!(parents.as_slice().iter().all(|parent| members.contains(parent)), "seed {seed}: {op}");
+            }
+            assert!(triangles <= view.triangle_limit, "seed {seed}, view {number}: {triangles}");
+            roughs += u32::from(rough.is_rough);
+        }
+        let update = front.update(model, &scorer, &view, PageAccess::Blocking, Effort::Exact).unwrap();
+        assert!(!update.is_rough);
         let expected = select(model, &scorer, view.triangle_limit, PageAccess::Blocking).unwrap();
         for op in &update.left {
             assert!(members.remove(op), "seed {seed}, view {number}: {op} left, but was not there");
@@ -122,6 +138,7 @@ fn follow(model: &PackedModel, seed: u64, views: u32) -> (u32, u64, u64) {
         tested += u64::from(update.tested);
         held += found.len() as u64;
     }
+    assert!(roughs > 20, "seed {seed}: {roughs} views were found roughly");
     (limited, tested, held)
 }
 
@@ -154,7 +171,7 @@ fn views_in_which_sizes_are_infinite_come_to_an_end() {
         let view = View { eye: camera.middle.to_array(), ..camera.view.clone() };
         let scorer = Scorer::new(&view, model.info());
         let expected = select(&model, &scorer, view.triangle_limit, PageAccess::Blocking).unwrap();
-        front.update(&model, &scorer, &view, PageAccess::Blocking).unwrap();
+        front.update(&model, &scorer, &view, PageAccess::Blocking, Effort::Exact).unwrap();
         let found: BTreeSet<u32> = front.members().collect();
         assert_eq!(found, expected.ops.into_iter().collect(), "near {near}, limit {limit}");
     }
