@@ -4,13 +4,14 @@
 //! - the *wanted* ops, of priority over a threshold. Priorities fall along the vertex forest, so only wanted ops without wanted
 //!   children may cease to be, and only their unwanted children may begin to;
 //! - their closure under parents, by counting for each op the members that have it as a parent;
-//! - for each wanted op, how far what the camera sees there may move, and how far the threshold, before one of these answers may change
-//!   ([`motion`]). An update looks at the rows that are due, found by a scan of 16 bytes a row.
+//! - for each wanted op a row: bounds of the sizes and depths that these answers rest on, which hold as the camera moves ([`motion`]). An
+//!   update looks at the rows that are due, found by a scan of 20 bytes a row.
 //!
 //! The threshold is the tolerance as long as the closure fits the triangle limit. Where it does not, the threshold stays where the closure
-//! takes 98.5 to 100 % of the limit, and the rest is filled best-first, in the order that `select` has, anew for each view.
+//! takes 96 to 100 % of the limit while the camera moves ([`Effort::Moving`]); else 98.5 to 100 %, and the rest is filled best-first, in the order
+//! that `select` has.
 //!
-//! Cost of an update: about a nanosecond a row, and some 100 ns for each row that is due and each op that comes or goes.
+//! Cost of an update: a few nanoseconds a row, and some 100 ns for each row that is due and each op that comes or goes.
 
 mod fill;
 mod motion;
@@ -34,7 +35,7 @@ use crate::pack::{PAGE_OPS, PackError, PackedModel, PageId};
 const LOW_WATER: f64 = 0.985;
 /// Where an adjusted threshold aims.
 const AIM: f64 = 0.994;
-/// The same while the camera moves: a threshold that is moved seldom costs less, and nobody sees a twentieth of the triangles missing.
+/// The same while the camera moves: a threshold that is moved seldom costs less, and few see a twenty-fifth of the triangles missing.
 const MOVING_LOW_WATER: f64 = 0.96;
 const MOVING_AIM: f64 = 0.985;
 /// How the size of a closure falls with the threshold: by about the power -1.6.

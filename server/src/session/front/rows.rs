@@ -129,7 +129,7 @@ impl Half {
 
 const EMPTY: u32 = u32::MAX;
 
-/// The rows, in no order: 20 bytes each, and 4 to 12 of the index (open addressing, at most two thirds full).
+/// The rows, in no order: 24 bytes each, and 4 to 12 of the index (open addressing, at most two thirds full).
 #[derive(Debug, Default)]
 pub(super) struct Rows {
     pub(super) ops: Vec<u32>,
@@ -140,7 +140,8 @@ pub(super) struct Rows {
 
 impl Rows {
     pub(super) fn heap_bytes(&self) -> usize {
-        (self.ops.capacity() + self.states.capacity() + self.index.capacity()) * 4 + self.dues.capacity() * 12
+        (self.ops.capacity() + self.states.capacity() + self.index.capacity()) * 4
+            + self.dues.capacity() * size_of::<Due>()
     }
 
     #[inline]

@@ -3,7 +3,7 @@
 //! Each case looks for the largest tolerance at which `lodestream snapshot --export` holds, once settled, a mesh whose real screen
 //! error (p99.9 of unoccluded vertices at 1920x1080, 45 degrees) is at most one pixel; its bytes are everything received from
 //! cold. `--until bytes:N` would stop at the end of a frame, which is up to half of what these views need. The mesh is judged once
-//! more by `lodestream-server screen-error`.
+//! more by `lodestream-server screen-error`. The curve of bytes against error is that of the tolerances of [`CURVE_PX`].
 
 use std::ffi::OsStr;
 use std::path::Path;
@@ -23,6 +23,8 @@ use crate::{Options, Report, Subject};
 
 /// Tolerances between which the largest that will do is looked for, in pixels.
 const TOLERANCES_PX: [f64; 2] = [0.25, 4.0];
+/// Tolerances whose bytes and errors are told, too, in pixels.
+const CURVE_PX: [f64; 5] = [0.5, 1.0, 2.0, 4.0, 8.0];
 /// Halvings of that interval, by ratio: 2 % are left.
 const HALVINGS: u32 = 7;
 
@@ -39,6 +41,7 @@ pub(crate) fn measure(subject: &Subject, options: &Options, report: &Report) -> 
     let whole = original.radius() / 22.5f64.to_radians().sin();
     for (name, distance) in [("whole", whole), ("close", 0.95 * original.radius())] {
         let mut total = 0.0;
+        let mut curve = [[0.0; 2]; CURVE_PX.len()];
         for step in 0..6 {
             let azimuth = step * 60;
             let angle = f64::from(azimuth).to_radians();
@@ -56,6 +59,19 @@ pub(crate) fn measure(subject: &Subject, options: &Options, report: &Report) -> 
             let more = json!({"tolerance_px": tolerance, "triangles": stats["triangles"], "p999_px": error.p999,
                 "max_px": error.max});
             report.line("5 bytes to 1 px", &format!("{case}/{name}/{azimuth}"), bytes, "B", more);
+            for (tolerance, point) in CURVE_PX.into_iter().zip(&mut curve) {
+                let (stats, error) = search.run(tolerance)?;
+                let bytes = stats["bytes_received"].as_f64().context("--stats has bytes_received")?;
+                let more = json!({"p999_px": error.p999, "max_px": error.max, "triangles": stats["triangles"]});
+                let case = format!("{case}/{name}/{azimuth}/{tolerance} px");
+                report.line("5 bytes at a tolerance", &case, bytes, "B", more);
+                *point = [point[0] + bytes, point[1] + error.p999];
+            }
+        }
+        for (tolerance, [bytes, p999]) in CURVE_PX.into_iter().zip(curve) {
+            let case = format!("{case}/{name}/{tolerance} px");
+            let more = json!({"p999_px": p999 / 6.0});
+            report.line("5 bytes at a tolerance, mean of azimuths", &case, bytes / 6.0, "B", more);
         }
         report.line("5 bytes to 1 px, mean of azimuths", &format!("{case}/{name}"), total / 6.0, "B", Value::Null);
     }
