@@ -71,7 +71,7 @@ function fit() {
 function run(module, screen) {
   const now = () => performance.now();
   const hint = Float64Array.from(data.hint ? data.hint.split(',') : [], Number);
-  const page = new module.Page(now(), canvas.width, canvas.height, ratio(), Number(triangles), memoryMib, !isSmall && !isSlow, hint, location.hash, Math.random() * 2 ** 32);
+  const page = new module.Page(canvas.width, canvas.height, ratio(), Number(triangles), memoryMib, !isSmall && !isSlow, hint, location.hash, Math.random() * 2 ** 32);
   const device = screen.describe();
   page.attach(screen);
   const sockets = [null, null];

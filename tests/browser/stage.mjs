@@ -2,7 +2,7 @@
 
 import { spawn, spawnSync } from 'node:child_process';
 import { mkdtempSync, mkdirSync, rmSync, writeFileSync } from 'node:fs';
-import { createServer } from 'node:net';
+import { connect, createServer } from 'node:net';
 import { tmpdir } from 'node:os';
 import { dirname, join } from 'node:path';
 import { fileURLToPath } from 'node:url';
@@ -28,6 +28,36 @@ function freePort() {
       server.close(() => resolve(port));
     });
   });
+}
+
+// A way to a port that can be cut, at a port of its own.
+export class Cable {
+  static async lay(port) {
+    const cable = new Cable();
+    cable.ends = new Set();
+    cable.server = createServer((near) => {
+      const far = connect(port, '127.0.0.1');
+      for (const [end, other] of [[near, far], [far, near]]) {
+        cable.ends.add(end);
+        end.on('error', () => {});
+        end.on('close', () => { cable.ends.delete(end); other.destroy(); });
+        end.pipe(other);
+      }
+    });
+    await new Promise((resolve) => { cable.server.listen(0, '127.0.0.1', resolve); });
+    cable.port = cable.server.address().port;
+    return cable;
+  }
+
+  // All connections break without a word; later ones are as good as ever.
+  cut() {
+    for (const end of this.ends) end.resetAndDestroy();
+  }
+
+  close() {
+    this.cut();
+    this.server.close();
+  }
 }
 
 // The cube from -1 to 1, each side `n` by `n` squares of two triangles, as OBJ.
@@ -102,20 +132,20 @@ export class Stage {
     await ended;
   }
 
-  address(path) {
-    return `http://127.0.0.1:${this.port}${path}`;
+  address(path, port = this.port) {
+    return `http://127.0.0.1:${port}${path}`;
   }
 
   // A page that remembers what went wrong on it, in `page.faults`.
-  async page(path, options = {}) {
+  async page(path, { port = this.port, ...options } = {}) {
     const context = await this.browser.newContext({ viewport: { width: 1120, height: 600 }, ...options });
     this.contexts = [...(this.contexts ?? []), context];
     const page = await context.newPage();
     page.faults = [];
     page.on('console', (message) => { if (['error', 'warning'].includes(message.type())) page.faults.push(message.text()); });
     page.on('pageerror', (error) => page.faults.push(String(error)));
-    page.on('request', (request) => { if (!request.url().startsWith(this.address('/')) && !/^(data|blob):/.test(request.url())) page.faults.push(`asked for ${request.url()}`); });
-    await page.goto(this.address(path));
+    page.on('request', (request) => { if (!request.url().startsWith(this.address('/', port)) && !/^(data|blob):/.test(request.url())) page.faults.push(`asked for ${request.url()}`); });
+    await page.goto(this.address(path, port));
     return page;
   }
 

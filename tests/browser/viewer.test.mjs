@@ -1,7 +1,7 @@
 import assert from 'node:assert/strict';
 import { join } from 'node:path';
 import { after, afterEach, before, test } from 'node:test';
-import { Stage, changed, figures, marks, parts, pictures, settled, state, PATIENCE } from './stage.mjs';
+import { Cable, Stage, changed, figures, marks, parts, pictures, settled, state, PATIENCE } from './stage.mjs';
 
 let stage;
 before(async () => { stage = await Stage.open(); });
@@ -233,6 +233,36 @@ test('phones get fewer triangles and fingers', async () => {
   assert.equal(await page.isVisible('#panel'), true);
   await picture(page, 'phone-panel');
   assert.deepEqual(page.faults, []);
+});
+
+test('a connection that breaks is made anew, and the session goes on', async () => {
+  const cable = await Cable.lay(stage.port);
+  try {
+    const page = await stage.page('/models/scan', { port: cable.port });
+    const link = await settled(page);
+    const before = await figures(page);
+    await page.evaluate(() => {
+      window.seen = [];
+      const look = () => { window.seen.push(window.lodestream.figures()[0]); requestAnimationFrame(look); };
+      look();
+    });
+    cable.cut();
+    await state(page, 'reconnecting');
+    assert.equal((await figures(page)).triangles, before.triangles, 'the picture stays');
+    assert.equal(await settled(page), link);
+    const seen = await page.evaluate(() => window.seen);
+    assert.ok(seen.length > 10 && seen.every((triangles) => triangles === before.triangles), `no picture from the base on: ${new Set(seen)}`);
+    const after = await figures(page);
+    assert.equal(after.triangles, before.triangles);
+    assert.ok(after.received - before.received < 200, `${after.received - before.received} bytes to go on, ${before.received} before`);
+    // It goes on in earnest: another view is refined.
+    await page.focus('#canvas');
+    await key(page, '5');
+    await changed(page, link, 'top');
+    assert.deepEqual(page.faults.filter((fault) => !/WebSocket/.test(fault)), []);
+  } finally {
+    cable.close();
+  }
 });
 
 test('a server that goes and comes back finds the viewer where it was', async () => {

@@ -87,7 +87,6 @@ impl Page {
     #[allow(clippy::too_many_arguments, reason = "numbers cross the border one by one")]
     #[wasm_bindgen(constructor)]
     pub fn new(
-        now_ms: f64,
         width: u32,
         height: u32,
         ratio: f64,
@@ -115,7 +114,7 @@ impl Page {
             ..ViewerOptions::new(Viewport { width_px: width.max(1), height_px: height.max(1) })
         };
         Self {
-            viewer: Viewer::new(at(now_ms), options),
+            viewer: Viewer::new(options),
             screen: None,
             marks: Vec::new(),
             is_occluded: false,

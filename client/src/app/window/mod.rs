@@ -140,7 +140,7 @@ impl App {
             ..ViewerOptions::new(viewport)
         };
         Self {
-            viewer: Viewer::new(Timestamp(Duration::ZERO), viewer_options),
+            viewer: Viewer::new(viewer_options),
             options,
             start: Instant::now(),
             proxy,
