@@ -1,7 +1,7 @@
 // A server of its own with models of known shape, and a browser without a screen or a graphics card.
 
 import { spawn, spawnSync } from 'node:child_process';
-import { mkdtempSync, mkdirSync, rmSync, writeFileSync } from 'node:fs';
+import { mkdtempSync, mkdirSync, readdirSync, rmSync, writeFileSync } from 'node:fs';
 import { connect, createServer } from 'node:net';
 import { tmpdir } from 'node:os';
 import { dirname, join } from 'node:path';
@@ -12,14 +12,19 @@ const root = join(dirname(fileURLToPath(import.meta.url)), '..', '..');
 const target = process.env.CARGO_TARGET_DIR ?? join(root, 'target');
 const program = process.env.SERVER_BIN ?? join(target, 'debug', 'lodestream-server');
 const bundle = join(target, 'browser', 'bundle');
+// The module for browsers without WebGPU takes minutes to build, and may not be there.
+export const hasWebgl = readdirSync(bundle, { recursive: true }).some((name) => name.endsWith('webgl.js'));
 export const pictures = join(target, 'browser', 'pictures');
 
 // WebGPU and the picture by software; the rest keeps Chromium from speaking to anyone else.
-const FLAGS = [
-  '--headless', '--no-sandbox', '--enable-unsafe-webgpu', '--use-webgpu-adapter=swiftshader', '--enable-features=Vulkan',
-  '--use-vulkan=swiftshader', '--use-angle=vulkan', '--disable-background-networking', '--disable-component-update',
-  '--disable-sync', '--no-first-run', '--disable-domain-reliability', '--metrics-recording-only',
+const QUIET = [
+  '--headless', '--no-sandbox', '--disable-background-networking', '--disable-component-update', '--disable-sync', '--no-first-run',
+  '--disable-domain-reliability', '--metrics-recording-only',
 ];
+const WEBGPU = [
+  '--enable-unsafe-webgpu', '--use-webgpu-adapter=swiftshader', '--enable-features=Vulkan', '--use-vulkan=swiftshader', '--use-angle=vulkan',
+];
+const WEBGL = ['--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--disable-features=WebGPU', '--disable-blink-features=WebGPU'];
 
 function freePort() {
   return new Promise((resolve) => {
@@ -107,8 +112,12 @@ export class Stage {
     stage.call('ingest', join(stage.folder, 'scan.ply'), '--repository', stage.repository);
     stage.port = await freePort();
     await stage.serve();
-    stage.browser = await chromium.launch({ executablePath: process.env.CHROMIUM ?? '/usr/bin/chromium', args: FLAGS });
+    stage.browser = await stage.launch();
     return stage;
+  }
+
+  launch(withWebgpu = true) {
+    return chromium.launch({ executablePath: process.env.CHROMIUM ?? '/usr/bin/chromium', args: [...QUIET, ...(withWebgpu ? WEBGPU : WEBGL)] });
   }
 
   call(...args) {
@@ -137,10 +146,11 @@ export class Stage {
   }
 
   // A page that remembers what went wrong on it, in `page.faults`.
-  async page(path, { port = this.port, ...options } = {}) {
-    const context = await this.browser.newContext({ viewport: { width: 1120, height: 600 }, ...options });
+  async page(path, { port = this.port, browser = this.browser, script = () => {}, ...options } = {}) {
+    const context = await browser.newContext({ viewport: { width: 1120, height: 600 }, ...options });
     this.contexts = [...(this.contexts ?? []), context];
     const page = await context.newPage();
+    await page.addInitScript(script);
     page.faults = [];
     page.on('console', (message) => { if (['error', 'warning'].includes(message.type())) page.faults.push(message.text()); });
     page.on('pageerror', (error) => page.faults.push(String(error)));

@@ -1,7 +1,8 @@
 import assert from 'node:assert/strict';
 import { join } from 'node:path';
 import { after, afterEach, before, test } from 'node:test';
-import { Cable, Stage, changed, figures, marks, parts, pictures, settled, state, PATIENCE } from './stage.mjs';
+import { decode, difference } from './png.mjs';
+import { Cable, Stage, changed, figures, hasWebgl, marks, parts, pictures, settled, state, PATIENCE } from './stage.mjs';
 
 let stage;
 before(async () => { stage = await Stage.open(); });
@@ -10,6 +11,14 @@ afterEach(() => stage?.closePages());
 
 const key = async (page, ...names) => { for (const name of names) await page.keyboard.press(name); };
 const picture = (page, name) => page.screenshot({ path: join(pictures, `${name}.png`) });
+
+// The picture that the page saves.
+async function saved(page, name) {
+  const [file] = await Promise.all([page.waitForEvent('download'), page.click('#shot')]);
+  const path = join(pictures, `${name}.png`);
+  await file.saveAs(path);
+  return decode(path);
+}
 
 // Where a pixel of the front view of the cube meets its front side, z = 1.
 function onFront(link, [x, y], width, height) {
@@ -233,6 +242,60 @@ test('phones get fewer triangles and fingers', async () => {
   assert.equal(await page.isVisible('#panel'), true);
   await picture(page, 'phone-panel');
   assert.deepEqual(page.faults, []);
+});
+
+test('a graphics device that is lost gives way to another', async () => {
+  const keep = () => {
+    const request = GPUAdapter.prototype.requestDevice;
+    window.devices = [];
+    GPUAdapter.prototype.requestDevice = async function (...values) {
+      window.devices.push(await request.apply(this, values));
+      return window.devices.at(-1);
+    };
+  };
+  const page = await stage.page('/models/scan#morph=off', { script: keep });
+  await settled(page);
+  const [before, { triangles, received }] = [await saved(page, 'device-before'), await figures(page)];
+  await page.evaluate(() => window.devices.at(-1).destroy());
+  await page.waitForFunction(() => window.devices.length === 2, null, { timeout: PATIENCE });
+  await page.waitForSelector('#notice:not([hidden])', { timeout: PATIENCE });
+  assert.match(await page.textContent('#notice'), /device/);
+  await settled(page);
+  const after = await figures(page);
+  assert.equal(after.triangles, triangles);
+  assert.ok(after.received - received < 200, `${after.received - received} bytes: the mesh is here`);
+  const { most } = difference(before, await saved(page, 'device-after'));
+  assert.ok(most <= 2, `${most}: the picture is the same`);
+  assert.deepEqual(page.faults.filter((fault) => !/device/i.test(fault)), []);
+});
+
+test('a browser without WebGPU draws with WebGL', { skip: hasWebgl ? false : 'the bundle has no module for it' }, async () => {
+  const browser = await stage.launch(false);
+  try {
+    const page = await stage.page('/models/scan#occlusion=off&shading=flat&gradient=off', { browser });
+    assert.equal(await page.evaluate(async () => Boolean(await navigator.gpu?.requestAdapter())), false, 'it has no WebGPU');
+    await settled(page);
+    assert.match(await page.evaluate(() => window.lodestream.device()), /Gl/);
+    const loaded = await page.evaluate(() => performance.getEntriesByType('resource').map(({ name }) => name).filter((name) => name.endsWith('.wasm')));
+    assert.ok(loaded.length === 1 && loaded[0].endsWith('webgl.wasm'), `${loaded}`);
+    const seen = await saved(page, 'webgl');
+    const other = await stage.page(`/models/scan#${await page.evaluate(() => window.lodestream.link())}`);
+    await settled(other);
+    const { mean, far } = difference(seen, await saved(other, 'webgpu'));
+    assert.ok(mean < 0.5 && far < 0.01, `${mean} ${far}: it draws what WebGPU draws`);
+    // The context goes and comes back.
+    await page.evaluate(() => {
+      window.lose = document.querySelector('canvas').getContext('webgl2').getExtension('WEBGL_lose_context');
+      window.lose.loseContext();
+    });
+    await state(page, 'restoring');
+    await page.evaluate(() => window.lose.restoreContext());
+    await settled(page);
+    assert.equal(difference(seen, await saved(page, 'webgl-after')).far, 0, 'the picture is the same');
+    assert.deepEqual([...page.faults, ...other.faults].filter((fault) => !/context|No available adapters/i.test(fault)), []);
+  } finally {
+    await browser.close();
+  }
 });
 
 test('a connection that breaks is made anew, and the session goes on', async () => {

@@ -38,6 +38,8 @@ pub struct Screen {
     gpu: Gpu,
     renderer: Renderer,
     target: SurfaceTarget<'static>,
+    /// The canvas gives no images any more.
+    is_gone: bool,
 }
 
 #[wasm_bindgen]
@@ -51,7 +53,7 @@ impl Screen {
         let (gpu, surface) = canvas_gpu(canvas).await.map_err(|error| error.to_string())?;
         let target = SurfaceTarget::new(&gpu, surface, size, Pacing::WithScreen).map_err(|error| error.to_string())?;
         let renderer = Renderer::new(&gpu.device, &gpu.queue, target.format());
-        Ok(Self { gpu, renderer, target })
+        Ok(Self { gpu, renderer, target, is_gone: false })
     }
 
     /// What draws, for people.
@@ -121,6 +123,16 @@ impl Page {
             text: String::new(),
             file: Vec::new(),
         }
+    }
+
+    /// Whether what it draws to is gone: it wants another [`Screen`].
+    pub fn is_lost(&self) -> bool {
+        self.screen.as_ref().is_none_or(|screen| screen.is_gone || screen.gpu.is_lost())
+    }
+
+    /// Draws to nothing until there is another [`Screen`].
+    pub fn detach(&mut self) {
+        self.screen = None;
     }
 
     /// Draws to this from now on.
@@ -238,7 +250,7 @@ impl Page {
         }
         let Some(wake) = tick.wake else { return Ok(-1.0) };
         // Without a screen nothing can be drawn, and waking up for that would be a busy wait.
-        if self.screen.is_none() && tick.draw {
+        if self.is_lost() && tick.draw {
             return Ok(50.0);
         }
         Ok(wake.since(now).as_secs_f64() * 1e3)
@@ -335,6 +347,13 @@ impl Page {
         lines.push(format!("ortho={}", on(navigator.is_some_and(|navigator| navigator.is_orthographic()))));
         let up = navigator.map_or("y".into(), |navigator| format!("{:?}", navigator.orbit().up()).to_lowercase());
         lines.push(format!("up={up}"));
+        let automatic = self.viewer.automatic();
+        lines.push(format!("auto.triangles={}", automatic.triangles));
+        lines.push(format!("auto.tolerance={}", automatic.tolerance_px));
+        lines.push(format!("auto.fps={}", automatic.images_per_s));
+        lines.push(format!("auto.memory={}", automatic.memory_mib));
+        lines.push(format!("auto.gradient={}", on(self.viewer.settings().is_gradient())));
+        lines.push(format!("freeze={}", on(self.viewer.is_frozen())));
         lines.push(format!("record={}", on(self.viewer.is_recording())));
         lines.push(format!("play={}", on(self.viewer.is_playing())));
         lines.push(format!("hascolors={}", on(self.viewer.model().is_some_and(|model| model.has_colors))));
@@ -348,11 +367,16 @@ impl Page {
     }
 
     fn draw(&mut self, now: Timestamp) -> Result<(), String> {
-        let Some(screen) = &mut self.screen else { return Ok(()) };
+        let Some(screen) = self.screen.as_mut().filter(|screen| !screen.is_gone && !screen.gpu.is_lost()) else {
+            return Ok(());
+        };
         let image = match screen.target.acquire() {
             Acquired::Image(image) => image,
             Acquired::Nothing => return Ok(()),
-            Acquired::Lost => return Err("the graphics device is lost".into()),
+            Acquired::Lost => {
+                screen.is_gone = true;
+                return Ok(());
+            }
         };
         let [width, height] = screen.target.size();
         screen.renderer.resize(width, height).map_err(|error| error.to_string())?;

@@ -50,6 +50,7 @@ pub use measure::Mark;
 use permalink::LinkedPose;
 use probe::Probe;
 use recorder::{Player, Recorder};
+pub use request::Automatic;
 use settings::Settings;
 use state::{Progress, State};
 

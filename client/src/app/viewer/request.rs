@@ -4,6 +4,7 @@ use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::View;
 
 use super::Viewer;
+use super::governor::AUTO_IMAGES_PER_S;
 use super::settings::Auto;
 use crate::camera::{Camera, Detail};
 use crate::core::ClientConfig;
@@ -14,7 +15,30 @@ const BYTES_PER_TRIANGLE: u64 = 160;
 /// Bytes of ops that may wait to be applied: more than a server sends without acknowledgement.
 const INBOX_BYTES: usize = 16 << 20;
 
+/// What settings that are left to the program come to at present.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Automatic {
+    /// Most triangles.
+    pub triangles: u32,
+    /// Largest error that may stay, in pixels.
+    pub tolerance_px: f32,
+    /// Images per second that the triangles are chosen for; more are drawn if the machine can.
+    pub images_per_s: f32,
+    /// Memory for the mesh, in MiB.
+    pub memory_mib: u32,
+}
+
 impl Viewer {
+    /// What automatic settings come to. The rate of bytes has no limit then.
+    pub fn automatic(&self) -> Automatic {
+        Automatic {
+            triangles: self.triangle_limit(),
+            tolerance_px: self.tolerance_px(),
+            images_per_s: AUTO_IMAGES_PER_S,
+            memory_mib: self.options.auto_memory_mib,
+        }
+    }
+
     pub(super) fn session_config(&self) -> ClientConfig {
         ClientConfig {
             triangle_limit: self.triangle_ceiling(),

@@ -11,7 +11,7 @@ mod screen;
 mod socket;
 
 use std::fmt::Write as _;
-use std::io::Write as _;
+use std::io::{Read as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -25,7 +25,7 @@ use winit::keyboard::{ModifiersState, PhysicalKey};
 use winit::window::{Window, WindowId};
 
 use super::file::{FileError, write_aside};
-use super::viewer::command::Event;
+use super::viewer::command::{Command, Event};
 use super::viewer::state::State;
 use super::viewer::{Ending, Request, Viewer, ViewerOptions, Wire};
 use crate::camera::Viewport;
@@ -46,6 +46,8 @@ const LINE_PX: f64 = 50.0;
 const REPEATED: [&str; 6] = ["Arrow", "Equal", "Minus", "Numpad", "Bracket", "Slash"];
 /// Beginnings of the names of keys that go from control to control of the panel, and press them.
 const FOCUS_KEYS: [&str; 5] = ["Arrow", "Enter", "Escape", "Space", "Tab"];
+/// Most bytes of a recording: more than the longest that can be made.
+const MAX_RECORDING_BYTES: u64 = 64 << 20;
 /// Identity of the mouse among pointers; fingers come after it.
 const MOUSE: i32 = 0;
 
@@ -113,6 +115,8 @@ struct App {
     cursor_px: [f64; 2],
     modifiers: ModifiersState,
     notice: Option<(String, Timestamp)>,
+    /// The recording that was written last.
+    recording: Option<PathBuf>,
     /// The panel wants to be drawn at this time.
     panel_due: Option<Timestamp>,
     /// Nothing is shown before.
@@ -149,6 +153,7 @@ impl App {
             cursor_px: [0.0; 2],
             modifiers: ModifiersState::empty(),
             notice: None,
+            recording: None,
             panel_due: None,
             hidden_until: None,
             is_asked: false,
@@ -166,8 +171,12 @@ impl App {
             .with_title(format!("{} - Lodestream", self.options.target.model))
             .with_inner_size(winit::dpi::LogicalSize::new(width, height));
         let window = Arc::new(events.create_window(attributes).map_err(|_| WindowError::NoWindow)?);
+        Self::equip(window, egui::Context::default())
+    }
+
+    /// Device and panel for a window.
+    fn equip(window: Arc<Window>, context: egui::Context) -> Result<Opened, WindowError> {
         let screen = Screen::open(window.clone())?;
-        let context = egui::Context::default();
         let input = egui_winit::State::new(
             context,
             egui::ViewportId::ROOT,
@@ -177,6 +186,25 @@ impl App {
             Some(screen.max_texture_side()),
         );
         Ok(Opened { device: screen.describe(), window, screen, input })
+    }
+
+    /// Goes on with another device: this one is gone.
+    fn reopen(&mut self, events: &ActiveEventLoop) {
+        let Some(Opened { window, input, screen, .. }) = self.opened.take() else { return };
+        // A window has one surface at a time.
+        drop(screen);
+        // The panel's textures went with the device, and only a new context says them again; what is open stays open.
+        let context = egui::Context::default();
+        context.memory_mut(|memory| *memory = input.egui_ctx().memory(Clone::clone));
+        match Self::equip(window, context) {
+            Ok(opened) => {
+                opened.window.request_redraw();
+                self.opened = Some(opened);
+                self.viewer.redraw();
+                self.notify("the graphics device was lost: drawing goes on with a new one".into());
+            }
+            Err(error) => self.fail(events, error),
+        }
     }
 
     fn fail(&mut self, events: &ActiveEventLoop, error: WindowError) {
@@ -239,8 +267,10 @@ impl App {
         while let Some(event) = self.viewer.poll_event() {
             match event {
                 Event::Notice(text) => self.notify(text),
-                Event::Recorded(file) => self.save("views", "jsonl", |_, path| {
-                    write_aside(path, |out| out.write_all(&file)).map_err(Into::into)
+                Event::Recorded(file) => self.save("views", "jsonl", |app, path| {
+                    write_aside(path, |out| out.write_all(&file))?;
+                    app.recording = Some(path.to_owned());
+                    Ok(())
                 }),
                 Event::Marked | Event::Played => self.panel_due = Some(self.now()),
             }
@@ -251,6 +281,14 @@ impl App {
         let now = self.now();
         self.notice = Some((text, now + NOTICE_TIME));
         self.panel_due = Some(now);
+    }
+
+    /// Plays a recording.
+    fn play(&mut self, path: &Path) {
+        match read_recording(path) {
+            Ok(file) => self.viewer.command(self.now(), Command::Play(file)),
+            Err(error) => self.notify(format!("cannot read '{}': {error}", path.display())),
+        }
     }
 
     /// Writes a file of a name that is free and says so, or why not.
@@ -282,6 +320,11 @@ impl App {
         let now = self.now();
         match wish {
             Wish::Do(command) => self.viewer.command(now, command),
+            Wish::Play => {
+                if let Some(path) = self.recording.clone() {
+                    self.play(&path);
+                }
+            }
             Wish::Screenshot => self.save("view", "png", Self::write_picture),
             Wish::CopyLink => {
                 let Some(link) = self.viewer.link() else { return };
@@ -303,6 +346,7 @@ impl App {
         let surroundings = Surroundings {
             model: &self.options.target.model,
             device: &opened.device,
+            has_recording: self.recording.is_some(),
             notice: notice.map(|(text, _)| text.as_str()),
         };
         let notice_end = notice.map(|(_, until)| *until);
@@ -333,6 +377,7 @@ impl App {
                 }
             }
             Ok(Painted::Hidden) => self.hidden_until = Some(now + HIDDEN_PAUSE),
+            Ok(Painted::Lost) => return self.reopen(events),
             Err(error) => return self.fail(events, error.into()),
         }
         wishes.into_iter().for_each(|wish| self.grant(wish));
@@ -388,6 +433,7 @@ impl ApplicationHandler<Woken> for App {
                 opened.screen.resize([width, height]);
                 self.viewer.resize(Viewport { width_px: width.max(1), height_px: height.max(1) }, scale);
             }
+            WindowEvent::DroppedFile(path) => self.play(&path),
             WindowEvent::Focused(false) => self.viewer.cancel(now),
             WindowEvent::ModifiersChanged(modifiers) => self.modifiers = modifiers.state(),
             WindowEvent::CursorMoved { position, .. } => {
@@ -465,6 +511,16 @@ impl ApplicationHandler<Woken> for App {
             Some(at) => ControlFlow::WaitUntil(self.start + at.0),
             None => ControlFlow::Wait,
         });
+    }
+}
+
+/// A recording, as far as it can be one.
+fn read_recording(path: &Path) -> std::io::Result<Vec<u8>> {
+    let mut file = Vec::new();
+    std::fs::File::open(path)?.take(MAX_RECORDING_BYTES + 1).read_to_end(&mut file)?;
+    match file.len() as u64 > MAX_RECORDING_BYTES {
+        true => Err(std::io::Error::new(std::io::ErrorKind::FileTooLarge, "it is too large for a recording")),
+        false => Ok(file),
     }
 }
 
