@@ -2,7 +2,7 @@ import assert from 'node:assert/strict';
 import { join } from 'node:path';
 import { after, afterEach, before, test } from 'node:test';
 import { decode, difference } from './png.mjs';
-import { Cable, Stage, changed, figures, hasWebgl, marks, parts, pictures, settled, state, PATIENCE } from './stage.mjs';
+import { Cable, Stage, changed, figures, hasWebgl, marks, parts, pictures, saved, settled, state, PATIENCE } from './stage.mjs';
 
 let stage;
 before(async () => { stage = await Stage.open(); });
@@ -11,14 +11,6 @@ afterEach(() => stage?.closePages());
 
 const key = async (page, ...names) => { for (const name of names) await page.keyboard.press(name); };
 const picture = (page, name) => page.screenshot({ path: join(pictures, `${name}.png`) });
-
-// The picture that the page saves.
-async function saved(page, name) {
-  const [file] = await Promise.all([page.waitForEvent('download'), page.click('#shot')]);
-  const path = join(pictures, `${name}.png`);
-  await file.saveAs(path);
-  return decode(path);
-}
 
 // Where a pixel of the front view of the cube meets its front side, z = 1.
 function onFront(link, [x, y], width, height) {
@@ -295,6 +287,23 @@ test('a browser without WebGPU draws with WebGL', { skip: hasWebgl ? false : 'th
     assert.deepEqual([...page.faults, ...other.faults].filter((fault) => !/context|No available adapters/i.test(fault)), []);
   } finally {
     await browser.close();
+  }
+});
+
+test('a page shows what the program without a window draws', async () => {
+  const first = await stage.page('/models/scan');
+  const home = await settled(first);
+  // From the side too, and with the link's rounding in both.
+  for (const [name, from] of [['home', parts(home).from], ['side', `70,-15,${parts(home).from.split(',')[2]}`]]) {
+    const link = `at=${parts(home).at}&from=${from}&gradient=off&occlusion=off&morph=off`;
+    const page = await stage.page(`/models/scan#${link}`);
+    await settled(page);
+    const size = await page.evaluate(() => [document.querySelector('canvas').width, document.querySelector('canvas').height]);
+    const native = decode(stage.snapshot('scan', link, size, `native-${name}`));
+    const { mean, most, far } = difference(await saved(page, `page-${name}`), native);
+    assert.ok(native.rgb.some((byte) => byte > 150), 'something is to be seen');
+    assert.ok(mean < 0.1 && far < 0.001, `${name}: mean ${mean}, largest ${most}, ${100 * far} % of pixels by more than 8`);
+    await page.context().close();
   }
 });
 

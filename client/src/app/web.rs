@@ -30,7 +30,7 @@ pub fn start() {
 }
 
 /// Numbers of [`Page::figures`], in this order.
-const FIGURES: usize = 14;
+const FIGURES: usize = 17;
 
 /// What is drawn to a canvas.
 #[wasm_bindgen]
@@ -272,7 +272,7 @@ impl Page {
 
     /// Triangles, limit, triangles of the model, error in pixels, bytes per second, bytes received, milliseconds of a round
     /// trip, images per second, share of cache hits, bytes of memory, bytes uploaded for the last image, most of them,
-    /// views sent, bytes of the module's memory. What is not known is NaN.
+    /// views sent, bytes of the module's memory, images that went over the allowance, ops applied for the last image, most of them. What is not known is NaN.
     pub fn figures(&mut self, now_ms: f64) -> Vec<f64> {
         let figures = self.viewer.figures(at(now_ms));
         let numbers: [f64; FIGURES] = [
@@ -290,6 +290,9 @@ impl Page {
             figures.most_uploaded_bytes as f64,
             figures.views as f64,
             core::arch::wasm32::memory_size(0) as f64 * 65_536.0,
+            figures.images_over_allowance.into(),
+            figures.applied_ops.into(),
+            figures.most_applied_ops.into(),
         ];
         numbers.to_vec()
     }

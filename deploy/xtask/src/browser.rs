@@ -55,6 +55,35 @@ pub(super) fn test() -> Result<()> {
     run("npm", &["--prefix", folder, "test"], &[])
 }
 
+/// Measures the viewer in Chromium (`tests/browser/measure.mjs`), in the caller's folder.
+pub(super) fn measure(arguments: &[String]) -> Result<()> {
+    if !can_test() {
+        bail!("no node with npm, or no chromium (CHROMIUM names another): `cargo xtask setup` on Debian");
+    }
+    build(Modules::All)?;
+    run("cargo", &["build", "--release", "-p", "lodestream-server", "-p", "lodestream-client"], &[])?;
+    let mut arguments = arguments.to_vec();
+    if arguments.first().is_some_and(|what| what == "decode") {
+        wasm_cargo("build", &["-p", "lodestream-wasm-decoder", "--profile", "browser"])?;
+        let module = target_dir().join("browser/wasm32-unknown-unknown/browser/lodestream_wasm_decoder.wasm");
+        arguments.extend(["--decoder".into(), module.to_str().context("the path of the project is not UTF-8")?.into()]);
+    }
+    let folder = root().join("tests/browser");
+    let name = folder.to_str().context("the path of the project is not UTF-8")?;
+    run("npm", &["--prefix", name, "ci", "--no-audit", "--no-fund"], &[])?;
+    let binary = |name: &str| target_dir().join("release").join(name);
+    let status = Command::new("node")
+        // Modules are compiled as browsers do after a second, so that short measurements are of that.
+        .arg("--no-liftoff")
+        .arg(folder.join("measure.mjs"))
+        .args(&arguments)
+        .env("SERVER_BIN", binary("lodestream-server"))
+        .env("CLIENT_BIN", binary("lodestream"))
+        .status()
+        .context("cannot run node")?;
+    if status.success() { Ok(()) } else { bail!("the measurement failed ({status})") }
+}
+
 /// Builds the client with these features and returns where the module is, under a name that the next build leaves alone.
 fn module(features: &str, name: &str) -> Result<String> {
     let what = ["-p", "lodestream-client", "--lib", "--crate-type", "cdylib", "--profile", "browser"];

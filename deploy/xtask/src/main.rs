@@ -13,6 +13,8 @@ const USAGE: &str = "usage: cargo xtask <command>
 
   demo [args]   build everything and run `lodestream-server demo`: a sample model, ingested and served
   browser       build the viewer for browsers (WebGPU, and WebGL 2 where that is missing) into target/browser/bundle, which servers built afterwards embed
+  page WHAT [args]
+                measure the viewer in Chromium: pictures, first, frames, flight or decode, with --repository DIR --model ID
   test          everything that has to pass: format, lints, tests, docs, browser build and its twin, fuzz smoke, 10^7 ops of soak
   fuzz [secs]   mutate frames, batches and mesh files for so many seconds per target (default 20)
   bench [args]  measure the figures of TARGETS.md: [ROW...] [FILE...] [--json] [--bits N] [--runs N]; models of LODESTREAM_MESHES
@@ -34,6 +36,7 @@ fn main() -> ExitCode {
     let result = match command.as_str() {
         "demo" => demo(&rest),
         "browser" => browser::build(browser::Modules::All),
+        "page" => browser::measure(&rest),
         "test" => test(),
         "fuzz" => fuzz(rest.first().map_or("20", String::as_str)),
         "bench" => program("bench", &rest),

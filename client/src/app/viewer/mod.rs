@@ -39,6 +39,7 @@ use crate::camera::gesture::Pointers;
 use crate::camera::navigate::Navigator;
 use crate::camera::{Bounds, Camera, Viewport};
 use crate::core::{ClientConfig, ClientSession};
+use crate::render::ghosts::MOST_GHOST_BYTES;
 use crate::render::upload::Allowance;
 use crate::render::{DrawStats, RenderCamera, RenderOptions};
 use command::{Command, Event, Tool};
@@ -183,6 +184,10 @@ pub struct Viewer {
     sent_bytes: u64,
     received_bytes: u64,
     needs_image: bool,
+    /// Ops applied since the last image.
+    ops_since_image: u32,
+    /// The next image uploads the mesh whole.
+    is_whole: bool,
     last_image: Option<Timestamp>,
     /// Which of the session's meshes the last image showed.
     drawn_generation: Option<u32>,
@@ -217,10 +222,13 @@ impl Viewer {
             figures: Figures::default(),
             received: Meter::default(),
             images: Meter::default(),
-            allowance: Allowance::new(options.upload_allowance),
+            // Ghosts are of what goes, which is not known before.
+            allowance: Allowance::new(options.upload_allowance.saturating_sub(MOST_GHOST_BYTES)),
             sent_bytes: 0,
             received_bytes: 0,
             needs_image: true,
+            ops_since_image: 0,
+            is_whole: false,
             last_image: None,
             drawn_generation: None,
             memory_of_program: None,
@@ -352,6 +360,7 @@ impl Viewer {
         if self.drawn_generation != Some(generation) {
             // Another mesh than the last image's: whoever follows it begins anew.
             self.drawn_generation = Some(generation);
+            self.is_whole = true;
             replica.track_dirty();
         }
         let camera = render_camera(&camera);
@@ -366,7 +375,12 @@ impl Viewer {
         self.images.add(now, 1.0);
         let triangles = self.replica().map_or(0, Replica::triangle_count);
         self.figures.uploaded_bytes = stats.uploaded_bytes;
-        self.figures.most_uploaded_bytes = self.figures.most_uploaded_bytes.max(stats.uploaded_bytes);
+        if !std::mem::take(&mut self.is_whole) {
+            self.figures.most_uploaded_bytes = self.figures.most_uploaded_bytes.max(stats.uploaded_bytes);
+            self.figures.images_over_allowance += u32::from(stats.uploaded_bytes > self.options.upload_allowance);
+        }
+        self.figures.applied_ops = std::mem::take(&mut self.ops_since_image);
+        self.figures.most_applied_ops = self.figures.most_applied_ops.max(self.figures.applied_ops);
         let wanted = self.settings.images_per_s.fixed().unwrap_or(AUTO_IMAGES_PER_S);
         let in_motion = self.is_moving();
         self.governor.note_image(now, in_motion, triangles, wanted);

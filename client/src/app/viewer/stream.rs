@@ -93,8 +93,9 @@ impl Viewer {
             if !self.allowance.admits(planned, op_bytes) {
                 break;
             }
-            if let Err(error) = self.session.apply_ready(now, 1) {
-                return self.note_fault(now, &error);
+            match self.session.apply_ready(now, 1) {
+                Ok(ops) => self.ops_since_image = self.ops_since_image.saturating_add(ops),
+                Err(error) => return self.note_fault(now, &error),
             }
             match self.planned_bytes().filter(|_| seen.is_some()) {
                 Some(after) if op_bytes > 0 => self.allowance.learn(planned, after, op_bytes),

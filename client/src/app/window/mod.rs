@@ -7,6 +7,7 @@
 //! All decisions are the viewer's: this is to a window what `web` is to a page.
 
 mod panel;
+mod rehearsal;
 mod screen;
 mod socket;
 
@@ -33,6 +34,8 @@ use crate::camera::gesture::Press;
 use crate::net::target::Target;
 use crate::render::RenderError;
 use panel::{Surroundings, Wish};
+pub use rehearsal::PlayReport;
+use rehearsal::Rehearsal;
 use screen::{Painted, PaintedPanel, Screen};
 use socket::{Incoming, Socket};
 
@@ -64,6 +67,8 @@ pub struct WindowOptions {
     pub folder: PathBuf,
     /// Write a screenshot here when all detail is there, and end.
     pub picture: Option<PathBuf>,
+    /// Play this recording when all detail is there, and end with a report.
+    pub play: Option<PathBuf>,
 }
 
 /// Why there is no window, or none any more.
@@ -82,6 +87,9 @@ pub enum WindowError {
     /// The picture could not be written.
     #[error(transparent)]
     File(#[from] FileError),
+    /// The recording cannot be read.
+    #[error("cannot play {0}")]
+    NoRecording(String),
     /// The viewer stopped before there was a picture.
     #[error("there is no picture: {0}")]
     NoPicture(String),
@@ -91,13 +99,18 @@ pub enum WindowError {
 ///
 /// # Errors
 /// [`WindowError`].
-pub fn run(options: WindowOptions) -> Result<(), WindowError> {
+pub fn run(options: WindowOptions) -> Result<Option<PlayReport>, WindowError> {
     let events = EventLoop::<Woken>::with_user_event().build().map_err(|_| WindowError::NoDesktop)?;
     let mut app = App::new(options, events.create_proxy());
+    if let Some(path) = &app.options.play {
+        let file =
+            read_recording(path).map_err(|error| WindowError::NoRecording(format!("{}: {error}", path.display())))?;
+        app.rehearsal = Some(Rehearsal::new(file));
+    }
     events.run_app(&mut app).map_err(|_| WindowError::NoDesktop)?;
     match app.failure {
         Some(error) => Err(error),
-        None => Ok(()),
+        None => Ok(app.report),
     }
 }
 
@@ -124,6 +137,8 @@ struct App {
     /// The viewer has asked for the image that comes next.
     is_asked: bool,
     failure: Option<WindowError>,
+    rehearsal: Option<Rehearsal>,
+    report: Option<PlayReport>,
 }
 
 /// What there is while there is a window.
@@ -158,6 +173,8 @@ impl App {
             hidden_until: None,
             is_asked: false,
             failure: None,
+            rehearsal: None,
+            report: None,
         }
     }
 
@@ -374,6 +391,9 @@ impl App {
                     && std::mem::take(&mut self.is_asked)
                 {
                     self.viewer.note_drawn(now, &stats);
+                    if let Some(rehearsal) = &mut self.rehearsal {
+                        rehearsal.note_image(Timestamp(self.start.elapsed()), &mut self.viewer);
+                    }
                 }
             }
             Ok(Painted::Hidden) => self.hidden_until = Some(now + HIDDEN_PAUSE),
@@ -381,6 +401,23 @@ impl App {
             Err(error) => return self.fail(events, error.into()),
         }
         wishes.into_iter().for_each(|wish| self.grant(wish));
+    }
+
+    fn rehearse(&mut self, events: &ActiveEventLoop) {
+        let now = self.now();
+        let Some(rehearsal) = &mut self.rehearsal else { return };
+        rehearsal.poll(now, &mut self.viewer);
+        if let State::Gone | State::Failed { .. } = self.viewer.state() {
+            let reason = self.viewer.state().to_string();
+            return self.fail(events, WindowError::NoPicture(reason));
+        }
+        if rehearsal.is_over(&self.viewer)
+            && let Some(rehearsal) = self.rehearsal.take()
+        {
+            let device = self.opened.as_ref().map_or("", |opened| &opened.device);
+            self.report = rehearsal.report(&self.viewer.figures(now), device);
+            events.exit();
+        }
     }
 
     fn finish_picture(&mut self, events: &ActiveEventLoop) {
@@ -498,6 +535,7 @@ impl ApplicationHandler<Woken> for App {
         self.exchange();
         self.handle_viewer_events();
         self.finish_picture(events);
+        self.rehearse(events);
         let Some(opened) = &self.opened else { return };
         self.is_asked |= tick.draw;
         let is_due = tick.draw || self.panel_due.is_some_and(|due| due <= now);
