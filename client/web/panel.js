@@ -3,13 +3,17 @@
 const NUMBERS = [
   // name, label, least, most, what the middle reads, unit
   ['triangles', 'Triangles', 1e3, 1e7, (v) => count(v)],
-  ['tolerance', 'Error', 0.1, 50, (v) => `${round(v)} px`],
+  ['tolerance', 'Largest error', 0.1, 50, (v) => `${round(v)} px`],
   ['rate', 'Bandwidth', 1e4, 1e8, (v) => `${bytes(v)}/s`],
   ['fps', 'Frame rate', 5, 120, (v) => `${Math.round(v)} fps`],
   ['memory', 'Memory', 32, 8192, (v) => `${Math.round(v)} MiB`],
 ];
 const VIEWS = ['front', 'back', 'left', 'right', 'top', 'bottom', 'iso', 'home'];
-const CHECKS = [['smooth', 'Smooth'], ['colors', 'Colours'], ['wireframe', 'Wireframe'], ['levels', 'Detail levels'], ['backs', 'Mark backs'], ['occlusion', 'Crevices'], ['morph', 'Morphing'], ['gradient', 'Gradient'], ['freeze', 'Freeze view']];
+const CHECKS = [['smooth', 'Smooth'], ['colors', 'Colours'], ['wireframe', 'Wireframe'], ['levels', 'Detail levels'], ['backs', 'Mark backs'], ['occlusion', 'Crevices'], ['morph', 'Morphing'], ['gradient', 'Gradient']];
+const TIPS = {
+  levels: 'Faces coloured by how fine they are', backs: 'Backs of faces in red', occlusion: 'Darker crevices (ambient occlusion)', morph: 'New detail moves into its place',
+  gradient: 'The background is lighter above', freeze: 'Detail stays that of the view as it is now: look at it from elsewhere (V)',
+};
 const FIGURES = ['Triangles', 'Limit', 'Whole model', 'Error', 'Receiving', 'Received', 'Round trip', 'Images', 'From cache', 'Memory'];
 
 export const count = (n) => (n >= 1e6 ? `${round(n / 1e6)} M` : n >= 1e4 ? `${Math.round(n / 1e3)} k` : String(Math.round(n)));
@@ -51,7 +55,7 @@ export class Panel {
       group('Shading', !isSmall, make('div', { className: 'checks' }, ...checks),
         make('div', { className: 'row' }, make('span', {}, 'Light'), make('div', {}, ...this.light), make('button', { type: 'button', onclick: () => { [this.light[0].value, this.light[1].value] = [0.3, 0.4]; send('light', 'auto'); } }, 'Reset')),
         make('div', { className: 'row' }, make('span', {}, 'Background'), this.background, make('button', { type: 'button', onclick: () => { this.background.value = '#1e2126'; send('background', 'auto'); } }, 'Reset'))),
-      group('Views', !isSmall, make('div', { className: 'buttons' }, ...views, this.up)),
+      group('Views', !isSmall, make('div', { className: 'buttons' }, ...views, this.up), make('div', { className: 'checks' }, this.check('freeze', 'Freeze view'))),
       group('Section', false, make('div', { className: 'row' }, make('label', { htmlFor: 'section-axis' }, 'Cut along'), this.axis, make('label', {}, this.flip, ' Flip')),
         make('div', { className: 'row' }, make('label', { htmlFor: 'section-share' }, 'Position'), this.share, make('output'))),
       group('Distance', false, this.length, this.points, make('div', { className: 'buttons' }, make('button', { type: 'button', id: 'clear', onclick: () => send('clear', '') }, 'Clear')),
@@ -88,7 +92,7 @@ export class Panel {
     const box = make('input', { type: 'checkbox', id: `check-${name}` });
     box.onchange = () => (name === 'smooth' ? this.send('shading', box.checked ? 'smooth' : 'flat') : this.send(name, box.checked ? 'on' : 'off'));
     this.checks.set(name, box);
-    return make('label', {}, box, label);
+    return make('label', { title: TIPS[name] ?? '' }, box, label);
   }
 
   section() {

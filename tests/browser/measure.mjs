@@ -178,10 +178,10 @@ async function timeDecoding(stage, models) {
 async function fly(stage, models) {
   const minutes = Number(values.minutes);
   for (const model of models) {
-    const page = await stage.page(`/models/${model}#memory=128&tolerance=0.5`);
+    const page = await stage.page(`/models/${model}#triangles=100000&memory=128&tolerance=0.5`);
     const session = await page.context().newCDPSession(page);
     await session.send('Performance.enable');
-    await settled(page);
+    await state(page, 'settled', 300_000);
     await page.focus('#canvas');
     const next = random(Number(values.seed));
     const keys = ['KeyW', 'KeyA', 'KeyD', 'KeyQ', 'KeyE', 'ArrowLeft', 'ArrowRight', 'ArrowUp', 'ArrowDown', 'Equal', 'Minus'];

@@ -12,6 +12,9 @@ use crate::camera::UpAxis;
 use crate::camera::navigate::StandardView;
 use crate::render::Shading;
 
+/// Width of the panel in points: a slider with its name, its value and its box.
+const WIDTH: f32 = 330.0;
+
 /// What a person asks of the window itself.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Wish {
@@ -48,6 +51,8 @@ pub(super) fn show(
     let figures = viewer.figures(now);
     let settings = *viewer.settings();
     egui::Window::new(surroundings.model).anchor(Align2::LEFT_TOP, [12.0, 12.0]).auto_sized().show(context, |ui| {
+        // What is as wide as there is room would cover the picture.
+        ui.set_width(WIDTH.min(context.content_rect().width() - 40.0));
         // As high as what is open, but not beyond the window.
         let most = context.content_rect().height() - 80.0;
         egui::ScrollArea::vertical().max_height(most).show(ui, |ui| {
