@@ -10,7 +10,7 @@ import assert from 'node:assert/strict';
 import { readFileSync, writeFileSync } from 'node:fs';
 import { join } from 'node:path';
 import { parseArgs } from 'node:util';
-import { decode, difference } from './png.mjs';
+import { CLOSE, decode, difference } from './png.mjs';
 import { Cable, Stage, figures, parts, pictures, saved, settled, state } from './stage.mjs';
 
 const ALLOWANCE = 2 * 2 ** 20;
@@ -47,6 +47,7 @@ async function comparePictures(stage, models) {
     const size = await page.evaluate(() => [document.querySelector('canvas').width, document.querySelector('canvas').height]);
     const native = decode(stage.snapshot(model, link, size, `native-${model}`));
     const { mean, most, far } = difference(await saved(page, `page-${model}`), native);
+    assert.ok(mean <= CLOSE.mean && far <= CLOSE.far, `${model}: mean ${mean}, ${100 * far} % of pixels`);
     rows.push([model, size.join('x'), (await figures(page)).triangles, mean.toFixed(4), most, `${(100 * far).toFixed(3)} %`]);
     await page.context().close();
   }

@@ -39,6 +39,10 @@ export function decode(path) {
   return { width, height, rgb };
 }
 
+// How far a page's picture may be from a native one. Browsers average edges in encoded light, so what lies across one differs: the
+// mean of a channel, and the share of pixels off by more than 8.
+export const CLOSE = { mean: 0.25, far: 0.006 };
+
 // How far two pictures of one size are apart: mean and largest difference of a channel, and the share of pixels in which some
 // channel differs by more than 8.
 export function difference(a, b) {

@@ -1,7 +1,7 @@
 import assert from 'node:assert/strict';
 import { join } from 'node:path';
 import { after, afterEach, before, test } from 'node:test';
-import { decode, difference } from './png.mjs';
+import { CLOSE, decode, difference } from './png.mjs';
 import { Cable, Stage, changed, figures, hasWebgl, marks, parts, pictures, saved, settled, state, PATIENCE } from './stage.mjs';
 
 let stage;
@@ -302,7 +302,7 @@ test('a page shows what the program without a window draws', async () => {
     const native = decode(stage.snapshot('scan', link, size, `native-${name}`));
     const { mean, most, far } = difference(await saved(page, `page-${name}`), native);
     assert.ok(native.rgb.some((byte) => byte > 150), 'something is to be seen');
-    assert.ok(mean < 0.1 && far < 0.001, `${name}: mean ${mean}, largest ${most}, ${100 * far} % of pixels by more than 8`);
+    assert.ok(mean <= CLOSE.mean && far <= CLOSE.far, `${name}: mean ${mean}, largest ${most}, ${100 * far} % of pixels by more than 8`);
     await page.context().close();
   }
 });
