@@ -49,6 +49,11 @@ impl FakeServer {
         self.state.replica()
     }
 
+    /// The newest batch sent.
+    pub(crate) fn seq(&self) -> BatchSeq {
+        self.seq
+    }
+
     pub(crate) fn welcome(&self) -> Vec<u8> {
         let base = encode_base(&self.base, BITS, true);
         encode_server(&ServerMessage::Welcome {

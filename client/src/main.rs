@@ -58,6 +58,9 @@ struct ViewArgs {
     /// Write the picture as PNG when all detail is shown, and end
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
+    /// Play this recording when all detail is shown, and end with figures of its images as JSON on standard output
+    #[arg(long, value_name = "FILE", conflicts_with = "picture")]
+    play: Option<PathBuf>,
 }
 
 #[derive(Args)]
@@ -215,13 +218,17 @@ fn run_view(args: ViewArgs) -> anyhow::Result<()> {
     if let Some(path) = &args.picture {
         check_folder(path)?;
     }
-    window::run(WindowOptions {
+    let report = window::run(WindowOptions {
         target,
         size: [args.size.width_px, args.size.height_px],
         link: link.into(),
         folder: args.folder,
         picture: args.picture,
+        play: args.play,
     })?;
+    if let Some(report) = report {
+        println!("{}", serde_json::to_string(&report)?);
+    }
     Ok(())
 }
 

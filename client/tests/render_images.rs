@@ -290,3 +290,18 @@ fn sizes_out_of_range_are_refused_and_odd_ones_drawn() {
         assert!(matches!(refused, Err(RenderError::ImageSize { .. })), "{size:?}");
     }
 }
+
+#[test]
+fn a_device_that_is_gone_says_so_and_another_draws_the_same() {
+    let (Some(mut first), Some(mut second)) = (Studio::open(), Studio::open()) else { return };
+    let mut sphere = icosphere(4).replica(&first.lattice);
+    let camera = looking(DVec3::new(3.0, 1.0, 2.0), DVec3::ZERO);
+    let before = first.shoot("device", &mut sphere, &camera, &RenderOptions::default());
+    assert!(!first.offscreen.gpu().is_lost());
+    first.offscreen.gpu().device.destroy();
+    // The word of it comes with the next look at the device.
+    let _ = first.offscreen.gpu().device.poll(wgpu::PollType::wait_indefinitely());
+    assert!(first.offscreen.gpu().is_lost() && !second.offscreen.gpu().is_lost());
+    sphere.track_dirty();
+    assert!(second.shoot("device", &mut sphere, &camera, &RenderOptions::default()) == before);
+}

@@ -71,8 +71,8 @@ function fit() {
 function run(module, screen) {
   const now = () => performance.now();
   const hint = Float64Array.from(data.hint ? data.hint.split(',') : [], Number);
-  const page = new module.Page(now(), canvas.width, canvas.height, ratio(), Number(triangles), memoryMib, !isSmall && !isSlow, hint, location.hash, Math.random() * 2 ** 32);
-  const device = screen.describe();
+  const page = new module.Page(canvas.width, canvas.height, ratio(), Number(triangles), memoryMib, !isSlow, hint, location.hash, Math.random() * 2 ** 32);
+  let device = screen.describe();
   page.attach(screen);
   const sockets = [null, null];
   let isOver = false;
@@ -173,7 +173,7 @@ function run(module, screen) {
     const [name, words] = page.state().split('\n');
     // With the mesh comes what is known of the model.
     if (name !== element('state').dataset.state) dirtySettings = true;
-    setState(name, words);
+    if (!isRepairing && !isContextLost) setState(name, words);
     if (['refining', 'settled'].includes(name)) element('poster')?.classList.add('gone');
     if (dirtySettings) {
       dirtySettings = false;
@@ -195,10 +195,44 @@ function run(module, screen) {
     }, 300);
   };
 
+  // The device is gone: another one draws the same mesh. While there is none the session goes on.
+  let [isRepairing, isContextLost, isStale, repairs] = [false, false, false, 0];
+  const restoring = () => setState('restoring', 'The graphics device was lost, starting another');
+  const repair = async () => {
+    restoring();
+    try {
+      const next = await module.Screen.open(canvas);
+      device = next.describe();
+      page.attach(next);
+      notice('The graphics device was lost; drawing goes on with a new one.');
+      [isStale, repairs, dirtySettings] = [false, 0, true];
+    } catch (error) {
+      if (++repairs >= 5) return fail(error);
+      await new Promise((resolve) => { setTimeout(resolve, 500 * repairs); });
+    }
+    isRepairing = false;
+    return wake();
+  };
+  // WebGL gives the same context back later, and only if it is asked to.
+  canvas.addEventListener('webglcontextlost', guarded((event) => {
+    event.preventDefault();
+    isContextLost = true;
+    page.detach();
+    restoring();
+  }));
+  canvas.addEventListener('webglcontextrestored', () => {
+    [isContextLost, isStale] = [false, true];
+    wake();
+  });
+
   const step = guarded(() => {
     raf = 0;
     clearTimeout(timer);
     const time = now();
+    if (!isRepairing && !isContextLost && (isStale || page.is_lost())) {
+      isRepairing = true;
+      repair();
+    }
     if (fit()) page.resize(canvas.width, canvas.height, ratio());
     pump();
     const next = page.tick(time);
@@ -230,7 +264,7 @@ function run(module, screen) {
     notice('The address in the address bar is a link to this view; it is copied.');
   });
   // For tests and for the curious.
-  window.lodestream = { figures: () => Array.from(page.figures(now())), marks: () => Array.from(page.marks()), distance: () => page.distance(), settings: () => page.settings(), link: () => page.link(), device };
+  window.lodestream = { figures: () => Array.from(page.figures(now())), marks: () => Array.from(page.marks()), distance: () => page.distance(), settings: () => page.settings(), link: () => page.link(), device: () => device };
   wake();
 }
 

@@ -3,13 +3,17 @@
 const NUMBERS = [
   // name, label, least, most, what the middle reads, unit
   ['triangles', 'Triangles', 1e3, 1e7, (v) => count(v)],
-  ['tolerance', 'Error', 0.1, 50, (v) => `${round(v)} px`],
+  ['tolerance', 'Largest error', 0.1, 50, (v) => `${round(v)} px`],
   ['rate', 'Bandwidth', 1e4, 1e8, (v) => `${bytes(v)}/s`],
   ['fps', 'Frame rate', 5, 120, (v) => `${Math.round(v)} fps`],
   ['memory', 'Memory', 32, 8192, (v) => `${Math.round(v)} MiB`],
 ];
 const VIEWS = ['front', 'back', 'left', 'right', 'top', 'bottom', 'iso', 'home'];
-const CHECKS = [['smooth', 'Smooth'], ['colors', 'Colours'], ['wireframe', 'Wireframe'], ['levels', 'Detail levels'], ['backs', 'Mark backs'], ['occlusion', 'Crevices'], ['morph', 'Morphing']];
+const CHECKS = [['smooth', 'Smooth'], ['colors', 'Colours'], ['wireframe', 'Wireframe'], ['levels', 'Detail levels'], ['backs', 'Mark backs'], ['occlusion', 'Crevices'], ['morph', 'Morphing'], ['gradient', 'Gradient']];
+const TIPS = {
+  levels: 'Faces coloured by how fine they are', backs: 'Backs of faces in red', occlusion: 'Darker crevices (ambient occlusion)', morph: 'New detail moves into its place',
+  gradient: 'The background is lighter above', freeze: 'Detail stays that of the view as it is now: look at it from elsewhere (V)',
+};
 const FIGURES = ['Triangles', 'Limit', 'Whole model', 'Error', 'Receiving', 'Received', 'Round trip', 'Images', 'From cache', 'Memory'];
 
 export const count = (n) => (n >= 1e6 ? `${round(n / 1e6)} M` : n >= 1e4 ? `${Math.round(n / 1e3)} k` : String(Math.round(n)));
@@ -51,7 +55,7 @@ export class Panel {
       group('Shading', !isSmall, make('div', { className: 'checks' }, ...checks),
         make('div', { className: 'row' }, make('span', {}, 'Light'), make('div', {}, ...this.light), make('button', { type: 'button', onclick: () => { [this.light[0].value, this.light[1].value] = [0.3, 0.4]; send('light', 'auto'); } }, 'Reset')),
         make('div', { className: 'row' }, make('span', {}, 'Background'), this.background, make('button', { type: 'button', onclick: () => { this.background.value = '#1e2126'; send('background', 'auto'); } }, 'Reset'))),
-      group('Views', !isSmall, make('div', { className: 'buttons' }, ...views, this.up)),
+      group('Views', !isSmall, make('div', { className: 'buttons' }, ...views, this.up), make('div', { className: 'checks' }, this.check('freeze', 'Freeze view'))),
       group('Section', false, make('div', { className: 'row' }, make('label', { htmlFor: 'section-axis' }, 'Cut along'), this.axis, make('label', {}, this.flip, ' Flip')),
         make('div', { className: 'row' }, make('label', { htmlFor: 'section-share' }, 'Position'), this.share, make('output'))),
       group('Distance', false, this.length, this.points, make('div', { className: 'buttons' }, make('button', { type: 'button', id: 'clear', onclick: () => send('clear', '') }, 'Clear')),
@@ -59,7 +63,7 @@ export class Panel {
       group('Recorder', false, make('div', { className: 'buttons' }, this.record, this.play), make('p', {}, 'A recording can be played here or by lodestream load --path.')),
       group('Figures', !isSmall, make('dl', {}, ...FIGURES.flatMap((name, k) => [make('dt', {}, name), this.figures[k]]))),
       group('Keys', false, make('p', {}, 'Drag turns, right drag or two fingers move, wheel or pinch zooms, double click goes there.'),
-        make('dl', {}, ...[['Turn, move', '← → ↑ ↓, Shift'], ['Zoom', '+ −'], ['Fly', 'W A S D Q E'], ['Views', '1 – 7, H'], ['Whole model', 'F'], ['Parallel', 'O'], ['Measure', 'M, Enter'], ['Fly mode', 'G'], ['Controls', 'C']].flatMap(([what, keys]) => [make('dt', {}, what), make('dd', {}, make('kbd', {}, keys))]))),
+        make('dl', {}, ...[['Turn, move', '← → ↑ ↓, Shift'], ['Zoom', '+ −'], ['Fly', 'W A S D Q E'], ['Views', '1 – 7, H'], ['Whole model', 'F'], ['Parallel', 'O'], ['Measure', 'M, Enter'], ['Fly mode', 'G'], ['Freeze view', 'V'], ['Controls', 'C']].flatMap(([what, keys]) => [make('dt', {}, what), make('dd', {}, make('kbd', {}, keys))]))),
     );
   }
 
@@ -72,13 +76,14 @@ export class Panel {
     const send = () => this.send(name, auto.checked ? 'auto' : String(name === 'tolerance' ? Number(value().toPrecision(2)) : Math.round(value())));
     slider.oninput = () => { auto.checked = false; send(); };
     auto.onchange = send;
-    this.numbers.set(name, (text) => {
+    // `inForce` is what the program chooses where the setting is left to it; nothing if that is no limit.
+    this.numbers.set(name, (text, inForce) => {
       auto.checked = text === 'auto';
-      output.value = text === 'auto' ? '' : words(Number(text));
+      const shown = Number(text === 'auto' ? inForce ?? most : text);
+      output.value = text === 'auto' && inForce === undefined ? 'no limit' : words(shown);
       slider.classList.toggle('auto', text === 'auto');
-      const shown = text === 'auto' ? Math.sqrt(least * most) : Number(text);
       if (document.activeElement !== slider) slider.value = Math.log(Math.max(shown, least) / least) / Math.log(most / least);
-      slider.ariaValueText = text === 'auto' ? 'automatic' : output.value;
+      slider.ariaValueText = text === 'auto' ? `automatic, ${output.value}` : output.value;
     });
     return make('div', { className: 'row number' }, make('label', { htmlFor: name }, label), output, make('label', { className: 'auto' }, auto, 'auto'), slider);
   }
@@ -87,7 +92,7 @@ export class Panel {
     const box = make('input', { type: 'checkbox', id: `check-${name}` });
     box.onchange = () => (name === 'smooth' ? this.send('shading', box.checked ? 'smooth' : 'flat') : this.send(name, box.checked ? 'on' : 'off'));
     this.checks.set(name, box);
-    return make('label', {}, box, label);
+    return make('label', { title: TIPS[name] ?? '' }, box, label);
   }
 
   section() {
@@ -96,10 +101,11 @@ export class Panel {
 
   // What the viewer says its settings are.
   show(settings) {
-    for (const [name, set] of this.numbers) set(settings.get(name));
+    this.triangles = settings.get('triangles');
+    for (const [name, set] of this.numbers) set(settings.get(name), settings.get(`auto.${name}`));
     for (const [name, box] of this.checks) {
       const value = name === 'smooth' ? settings.get('shading') === 'smooth' : settings.get(name);
-      box.checked = value === true || value === 'on' || (value === 'auto' && (name === 'morph' || (name === 'occlusion' ? settings.get('occluded') : settings.get('hascolors')) === 'on'));
+      box.checked = value === true || value === 'on' || (value === 'auto' && (name === 'morph' || settings.get(`auto.${name}`) === 'on' || (name === 'occlusion' ? settings.get('occluded') : settings.get('hascolors')) === 'on'));
     }
     this.checks.get('colors').disabled = settings.get('hascolors') !== 'on';
     this.up.value = settings.get('up');
@@ -119,6 +125,7 @@ export class Panel {
 
   // The numbers of `Page.figures`.
   measure([triangles, limit, model, error, rate, received, trip, images, hits, memory]) {
+    if (this.triangles === 'auto') this.numbers.get('triangles')('auto', limit);
     const known = (x, words) => (Number.isNaN(x) ? '–' : words(x));
     const texts = [count(triangles), count(limit), count(model), known(error, (x) => `${round(x)} px`), `${bytes(rate)}/s`, bytes(received),
       known(trip, (x) => `${Math.round(x)} ms`), images > 0 ? `${Math.round(images)} /s` : 'at rest', known(hits, (x) => `${Math.round(100 * x)} %`), bytes(memory)];

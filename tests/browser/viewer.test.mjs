@@ -1,7 +1,8 @@
 import assert from 'node:assert/strict';
 import { join } from 'node:path';
 import { after, afterEach, before, test } from 'node:test';
-import { Stage, changed, figures, marks, parts, pictures, settled, state, PATIENCE } from './stage.mjs';
+import { CLOSE, decode, difference } from './png.mjs';
+import { Cable, Stage, changed, figures, hasWebgl, marks, parts, pictures, saved, settled, state, PATIENCE } from './stage.mjs';
 
 let stage;
 before(async () => { stage = await Stage.open(); });
@@ -233,6 +234,107 @@ test('phones get fewer triangles and fingers', async () => {
   assert.equal(await page.isVisible('#panel'), true);
   await picture(page, 'phone-panel');
   assert.deepEqual(page.faults, []);
+});
+
+test('a graphics device that is lost gives way to another', async () => {
+  const keep = () => {
+    const request = GPUAdapter.prototype.requestDevice;
+    window.devices = [];
+    GPUAdapter.prototype.requestDevice = async function (...values) {
+      window.devices.push(await request.apply(this, values));
+      return window.devices.at(-1);
+    };
+  };
+  const page = await stage.page('/models/scan#morph=off', { script: keep });
+  await settled(page);
+  const [before, { triangles, received }] = [await saved(page, 'device-before'), await figures(page)];
+  await page.evaluate(() => window.devices.at(-1).destroy());
+  await page.waitForFunction(() => window.devices.length === 2, null, { timeout: PATIENCE });
+  await page.waitForSelector('#notice:not([hidden])', { timeout: PATIENCE });
+  assert.match(await page.textContent('#notice'), /device/);
+  await settled(page);
+  const after = await figures(page);
+  assert.equal(after.triangles, triangles);
+  assert.ok(after.received - received < 200, `${after.received - received} bytes: the mesh is here`);
+  const { most } = difference(before, await saved(page, 'device-after'));
+  assert.ok(most <= 2, `${most}: the picture is the same`);
+  assert.deepEqual(page.faults.filter((fault) => !/device/i.test(fault)), []);
+});
+
+test('a browser without WebGPU draws with WebGL', { skip: hasWebgl ? false : 'the bundle has no module for it' }, async () => {
+  const browser = await stage.launch(false);
+  try {
+    const page = await stage.page('/models/scan#occlusion=off&shading=flat&gradient=off', { browser });
+    assert.equal(await page.evaluate(async () => Boolean(await navigator.gpu?.requestAdapter())), false, 'it has no WebGPU');
+    await settled(page);
+    assert.match(await page.evaluate(() => window.lodestream.device()), /Gl/);
+    const loaded = await page.evaluate(() => performance.getEntriesByType('resource').map(({ name }) => name).filter((name) => name.endsWith('.wasm')));
+    assert.ok(loaded.length === 1 && loaded[0].endsWith('webgl.wasm'), `${loaded}`);
+    const seen = await saved(page, 'webgl');
+    const other = await stage.page(`/models/scan#${await page.evaluate(() => window.lodestream.link())}`);
+    await settled(other);
+    const { mean, far } = difference(seen, await saved(other, 'webgpu'));
+    assert.ok(mean < 0.5 && far < 0.01, `${mean} ${far}: it draws what WebGPU draws`);
+    // The context goes and comes back.
+    await page.evaluate(() => {
+      window.lose = document.querySelector('canvas').getContext('webgl2').getExtension('WEBGL_lose_context');
+      window.lose.loseContext();
+    });
+    await state(page, 'restoring');
+    await page.evaluate(() => window.lose.restoreContext());
+    await settled(page);
+    assert.equal(difference(seen, await saved(page, 'webgl-after')).far, 0, 'the picture is the same');
+    assert.deepEqual([...page.faults, ...other.faults].filter((fault) => !/context|No available adapters/i.test(fault)), []);
+  } finally {
+    await browser.close();
+  }
+});
+
+test('a page shows what the program without a window draws', async () => {
+  const first = await stage.page('/models/scan');
+  const home = await settled(first);
+  // From the side too, and with the link's rounding in both.
+  for (const [name, from] of [['home', parts(home).from], ['side', `70,-15,${parts(home).from.split(',')[2]}`]]) {
+    const link = `at=${parts(home).at}&from=${from}&gradient=off&occlusion=off&morph=off`;
+    const page = await stage.page(`/models/scan#${link}`);
+    await settled(page);
+    const size = await page.evaluate(() => [document.querySelector('canvas').width, document.querySelector('canvas').height]);
+    const native = decode(stage.snapshot('scan', link, size, `native-${name}`));
+    const { mean, most, far } = difference(await saved(page, `page-${name}`), native);
+    assert.ok(native.rgb.some((byte) => byte > 150), 'something is to be seen');
+    assert.ok(mean <= CLOSE.mean && far <= CLOSE.far, `${name}: mean ${mean}, largest ${most}, ${100 * far} % of pixels by more than 8`);
+    await page.context().close();
+  }
+});
+
+test('a connection that breaks is made anew, and the session goes on', async () => {
+  const cable = await Cable.lay(stage.port);
+  try {
+    const page = await stage.page('/models/scan', { port: cable.port });
+    const link = await settled(page);
+    const before = await figures(page);
+    await page.evaluate(() => {
+      window.seen = [];
+      const look = () => { window.seen.push(window.lodestream.figures()[0]); requestAnimationFrame(look); };
+      look();
+    });
+    cable.cut();
+    await state(page, 'reconnecting');
+    assert.equal((await figures(page)).triangles, before.triangles, 'the picture stays');
+    assert.equal(await settled(page), link);
+    const seen = await page.evaluate(() => window.seen);
+    assert.ok(seen.length > 10 && seen.every((triangles) => triangles === before.triangles), `no picture from the base on: ${new Set(seen)}`);
+    const after = await figures(page);
+    assert.equal(after.triangles, before.triangles);
+    assert.ok(after.received - before.received < 200, `${after.received - before.received} bytes to go on, ${before.received} before`);
+    // It goes on in earnest: another view is refined.
+    await page.focus('#canvas');
+    await key(page, '5');
+    await changed(page, link, 'top');
+    assert.deepEqual(page.faults.filter((fault) => !/WebSocket/.test(fault)), []);
+  } finally {
+    cable.close();
+  }
 });
 
 test('a server that goes and comes back finds the viewer where it was', async () => {

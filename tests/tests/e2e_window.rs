@@ -76,7 +76,9 @@ fn the_window_shows_what_snapshot_draws() {
     }
     assert!(output.status.success(), "{}", described(&output));
     let path = shown.to_str().expect("plain");
-    let output = display.view(folder.path(), &[&url, "--size", "320x240", "--picture", path]);
+    // The background of snapshots has no gradient.
+    let plain = format!("{url}#gradient=off");
+    let output = display.view(folder.path(), &[&plain, "--size", "320x240", "--picture", path]);
     assert!(output.status.success(), "{}", described(&output));
     let ((width, height, a), (_, _, b)) = (pixels(&shown), pixels(&expected));
     assert_eq!((width, height), (320, 240));

@@ -30,7 +30,7 @@ pub fn start() {
 }
 
 /// Numbers of [`Page::figures`], in this order.
-const FIGURES: usize = 14;
+const FIGURES: usize = 17;
 
 /// What is drawn to a canvas.
 #[wasm_bindgen]
@@ -38,6 +38,8 @@ pub struct Screen {
     gpu: Gpu,
     renderer: Renderer,
     target: SurfaceTarget<'static>,
+    /// The canvas gives no images any more.
+    is_gone: bool,
 }
 
 #[wasm_bindgen]
@@ -51,7 +53,7 @@ impl Screen {
         let (gpu, surface) = canvas_gpu(canvas).await.map_err(|error| error.to_string())?;
         let target = SurfaceTarget::new(&gpu, surface, size, Pacing::WithScreen).map_err(|error| error.to_string())?;
         let renderer = Renderer::new(&gpu.device, &gpu.queue, target.format());
-        Ok(Self { gpu, renderer, target })
+        Ok(Self { gpu, renderer, target, is_gone: false })
     }
 
     /// What draws, for people.
@@ -87,7 +89,6 @@ impl Page {
     #[allow(clippy::too_many_arguments, reason = "numbers cross the border one by one")]
     #[wasm_bindgen(constructor)]
     pub fn new(
-        now_ms: f64,
         width: u32,
         height: u32,
         ratio: f64,
@@ -115,13 +116,23 @@ impl Page {
             ..ViewerOptions::new(Viewport { width_px: width.max(1), height_px: height.max(1) })
         };
         Self {
-            viewer: Viewer::new(at(now_ms), options),
+            viewer: Viewer::new(options),
             screen: None,
             marks: Vec::new(),
             is_occluded: false,
             text: String::new(),
             file: Vec::new(),
         }
+    }
+
+    /// Whether what it draws to is gone: it wants another [`Screen`].
+    pub fn is_lost(&self) -> bool {
+        self.screen.as_ref().is_none_or(|screen| screen.is_gone || screen.gpu.is_lost())
+    }
+
+    /// Draws to nothing until there is another [`Screen`].
+    pub fn detach(&mut self) {
+        self.screen = None;
     }
 
     /// Draws to this from now on.
@@ -239,7 +250,7 @@ impl Page {
         }
         let Some(wake) = tick.wake else { return Ok(-1.0) };
         // Without a screen nothing can be drawn, and waking up for that would be a busy wait.
-        if self.screen.is_none() && tick.draw {
+        if self.is_lost() && tick.draw {
             return Ok(50.0);
         }
         Ok(wake.since(now).as_secs_f64() * 1e3)
@@ -261,7 +272,7 @@ impl Page {
 
     /// Triangles, limit, triangles of the model, error in pixels, bytes per second, bytes received, milliseconds of a round
     /// trip, images per second, share of cache hits, bytes of memory, bytes uploaded for the last image, most of them,
-    /// views sent, bytes of the module's memory. What is not known is NaN.
+    /// views sent, bytes of the module's memory, images that went over the allowance, ops applied for the last image, most of them. What is not known is NaN.
     pub fn figures(&mut self, now_ms: f64) -> Vec<f64> {
         let figures = self.viewer.figures(at(now_ms));
         let numbers: [f64; FIGURES] = [
@@ -279,6 +290,9 @@ impl Page {
             figures.most_uploaded_bytes as f64,
             figures.views as f64,
             core::arch::wasm32::memory_size(0) as f64 * 65_536.0,
+            figures.images_over_allowance.into(),
+            figures.applied_ops.into(),
+            figures.most_applied_ops.into(),
         ];
         numbers.to_vec()
     }
@@ -336,6 +350,13 @@ impl Page {
         lines.push(format!("ortho={}", on(navigator.is_some_and(|navigator| navigator.is_orthographic()))));
         let up = navigator.map_or("y".into(), |navigator| format!("{:?}", navigator.orbit().up()).to_lowercase());
         lines.push(format!("up={up}"));
+        let automatic = self.viewer.automatic();
+        lines.push(format!("auto.triangles={}", automatic.triangles));
+        lines.push(format!("auto.tolerance={}", automatic.tolerance_px));
+        lines.push(format!("auto.fps={}", automatic.images_per_s));
+        lines.push(format!("auto.memory={}", automatic.memory_mib));
+        lines.push(format!("auto.gradient={}", on(self.viewer.settings().is_gradient())));
+        lines.push(format!("freeze={}", on(self.viewer.is_frozen())));
         lines.push(format!("record={}", on(self.viewer.is_recording())));
         lines.push(format!("play={}", on(self.viewer.is_playing())));
         lines.push(format!("hascolors={}", on(self.viewer.model().is_some_and(|model| model.has_colors))));
@@ -349,11 +370,16 @@ impl Page {
     }
 
     fn draw(&mut self, now: Timestamp) -> Result<(), String> {
-        let Some(screen) = &mut self.screen else { return Ok(()) };
+        let Some(screen) = self.screen.as_mut().filter(|screen| !screen.is_gone && !screen.gpu.is_lost()) else {
+            return Ok(());
+        };
         let image = match screen.target.acquire() {
             Acquired::Image(image) => image,
             Acquired::Nothing => return Ok(()),
-            Acquired::Lost => return Err("the graphics device is lost".into()),
+            Acquired::Lost => {
+                screen.is_gone = true;
+                return Ok(());
+            }
         };
         let [width, height] = screen.target.size();
         screen.renderer.resize(width, height).map_err(|error| error.to_string())?;

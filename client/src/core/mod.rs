@@ -281,6 +281,20 @@ impl ClientSession {
         }
     }
 
+    /// Like [`handle_loss`](Self::handle_loss) where what both ends hold of the session is of no use any more, as after a
+    /// [`ClientError`]: the next connection begins anew. The mesh is shown until the new one is as good.
+    pub fn begin_anew(&mut self, now: Timestamp) {
+        self.handle_loss(now);
+        self.token = None;
+        self.inbox = Inbox::default();
+        self.resets_in_a_row = 0;
+    }
+
+    /// Other settings. What the server is to know of them it hears at the next connection, with the first message.
+    pub fn reconfigure(&mut self, config: ClientConfig) {
+        self.config = config;
+    }
+
     /// How the session stands with its server.
     pub fn connectivity(&self) -> Connectivity {
         self.connectivity

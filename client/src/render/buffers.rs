@@ -141,7 +141,8 @@ impl MeshBuffers {
         let staging = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
             label: Some("mesh staging"),
             contents: stage,
-            usage: BufferUsages::COPY_SRC,
+            // Mappable memory is filled in place. WebGL needs it: it copies from no other kind of buffer to one of indices.
+            usage: BufferUsages::COPY_SRC | BufferUsages::MAP_WRITE,
         });
         let mut from = 0;
         for (target, offset, length) in copies.drain(..) {

@@ -1,5 +1,8 @@
 //! Instance, adapter, device.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use super::error::RenderError;
 
 /// What adapters are looked for: the native ones; WebGPU in browsers, WebGL 2 in the bundle that is built for it.
@@ -39,6 +42,7 @@ pub struct Gpu {
     pub device: wgpu::Device,
     /// Takes commands.
     pub queue: wgpu::Queue,
+    is_lost: Arc<AtomicBool>,
 }
 
 impl Gpu {
@@ -72,7 +76,10 @@ impl Gpu {
             })
             .await
             .map_err(|source| RenderError::NoDevice { adapter: adapter.get_info().name, source })?;
-        Ok(Self { instance, adapter, device, queue })
+        let is_lost = Arc::new(AtomicBool::new(false));
+        let flag = Arc::clone(&is_lost);
+        device.set_device_lost_callback(move |_, _| flag.store(true, Ordering::Relaxed));
+        Ok(Self { instance, adapter, device, queue, is_lost })
     }
 
     /// A device for images, waited for.
@@ -82,6 +89,12 @@ impl Gpu {
     #[cfg(not(target_arch = "wasm32"))]
     pub fn offscreen(options: &GpuOptions) -> Result<Self, RenderError> {
         pollster::block_on(Self::new(Self::instance(), None, options))
+    }
+
+    /// Whether the device is gone: the driver was reset, the card was pulled, the browser took it away. Nothing that was made with it is
+    /// of use any more; whoever drew with it makes another one and uploads the replica anew.
+    pub fn is_lost(&self) -> bool {
+        self.is_lost.load(Ordering::Relaxed)
     }
 
     /// Adapter and backend, for people: `llvmpipe (LLVM 15.0.6, 256 bits), Vulkan, software`.

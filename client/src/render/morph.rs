@@ -213,6 +213,11 @@ impl Morphs {
         changed
     }
 
+    /// Slots whose vertices are not in their places, ascending.
+    pub fn on_their_way(&self) -> Vec<u32> {
+        (0..self.len()).filter(|&slot| self.state(slot) != GpuMorph::default()).collect()
+    }
+
     /// The state of a slot.
     pub fn state(&self, slot: u32) -> GpuMorph {
         self.slots[slot as usize].state

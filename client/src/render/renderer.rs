@@ -11,7 +11,7 @@ use super::buffers::MeshBuffers;
 use super::camera::{CameraUniform, RenderCamera};
 use super::corners::CornerBuffers;
 use super::error::RenderError;
-use super::ghosts::{GHOST_CORNER_BYTES, Ghosts, MAX_GHOSTS};
+use super::ghosts::{Ghosts, MOST_GHOST_BYTES};
 use super::globals::{Globals, encode};
 use super::lines::{Line, gpu_lines};
 use super::morph::{MorphView, Morphs, Motion};
@@ -281,7 +281,8 @@ impl Renderer {
         if self.morph_buffers.as_ref().is_none_or(|buffers| !buffers.are_of(&self.mesh)) {
             self.morph_buffers = None;
             self.morph_buffers = Some(MorphBuffers::new(&self.device, pipeline, &self.mesh));
-            changed = (0..self.morphs.len()).collect();
+            // New buffers are all zeros, which is a vertex in its place.
+            changed = self.morphs.on_their_way();
         }
         let bytes = self.morph_buffers.as_ref().map_or(0, |buffers| buffers.write(&self.queue, &self.morphs, &changed));
         (true, bytes + ghost_bytes)
@@ -297,7 +298,7 @@ impl Renderer {
         let buffer = self.ghost_corners.get_or_insert_with(|| {
             self.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some("ghosts"),
-                size: 3 * MAX_GHOSTS as u64 * GHOST_CORNER_BYTES,
+                size: MOST_GHOST_BYTES,
                 usage: BufferUsages::VERTEX | BufferUsages::COPY_DST,
                 mapped_at_creation: false,
             })

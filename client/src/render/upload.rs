@@ -8,6 +8,8 @@ use std::ops::Range;
 use bytemuck::{Pod, Zeroable};
 use lodestream_protocol::mesh::{DirtySlots, Replica};
 
+use super::morph::GpuMorph;
+
 /// Intervals with fewer untouched slots than this between them are written as one: a copy of 64 vertices costs less than
 /// another copy command.
 pub const MERGED_GAP_SLOTS: u32 = 64;
@@ -75,11 +77,13 @@ pub fn plan(replica: &mut Replica, capacity_slots: u32) -> UploadPlan {
     }
 }
 
-/// Bytes that [`plan`] would write now; `None` for a replica that does not track yet, which is uploaded whole. Costs as much
-/// as planning.
+/// Most bytes that an image of the replica as it is now would upload, without [ghosts](super::ghosts::MOST_GHOST_BYTES): what [`plan`] would
+/// write, and the state of a transition for each vertex. `None` for a replica that does not track yet, which is uploaded whole.
+/// Costs as much as planning.
 pub fn planned_bytes(replica: &mut Replica) -> Option<u64> {
     let (vertices, face_pairs) = intervals(replica.dirty_mut()?);
-    Some(bytes(&vertices, &face_pairs))
+    let touched: u64 = vertices.iter().map(|r| u64::from(r.end - r.start)).sum();
+    Some(bytes(&vertices, &face_pairs) + touched * size_of::<GpuMorph>() as u64)
 }
 
 /// Vertex slots and pairs of face slots to write.

@@ -7,19 +7,32 @@ use anyhow::{Context, Result, bail};
 
 use super::{root, run, target_dir, wasm_cargo, wasm_toolchain};
 
+/// Which modules are built.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Modules {
+    /// All: the page takes the one for WebGL where there is no WebGPU.
+    All,
+    /// The one for WebGPU. The other compiles wgpu with its shader translator and takes three times as long.
+    WebGpu,
+}
+
 /// Builds the modules and bundles them with the page. Servers that are built afterwards embed the folder.
-pub(super) fn build() -> Result<()> {
+pub(super) fn build(modules: Modules) -> Result<()> {
     if !wasm_toolchain() {
         bail!(
             "there is no toolchain for wasm32: `rustup target add wasm32-unknown-unknown`, or `cargo xtask setup` on Debian"
         );
     }
-    let module = module("web")?;
+    let mut named = vec![format!("webgpu={}", module("web", "webgpu")?)];
+    if modules == Modules::All {
+        named.push(format!("webgl={}", module("web,webgl", "webgl")?));
+    }
     let (web, out) = (root().join("client/web"), target_dir().join("browser/bundle"));
     let text = |path: &Path| path.to_str().map(str::to_owned).context("the path of the project is not UTF-8");
     let (web, out) = (text(&web)?, text(&out)?);
-    let webgpu = format!("webgpu={module}");
-    run("cargo", &["run", "--quiet", "-p", "lodestream-bundler", "--", &web, &out, &webgpu], &[])
+    let mut arguments = vec!["run", "--quiet", "-p", "lodestream-bundler", "--", &web, &out];
+    arguments.extend(named.iter().map(String::as_str));
+    run("cargo", &arguments, &[])
 }
 
 /// Whether npm answers: it starts node.
@@ -42,10 +55,41 @@ pub(super) fn test() -> Result<()> {
     run("npm", &["--prefix", folder, "test"], &[])
 }
 
-/// Builds the client with these features and returns where the module is.
-fn module(features: &str) -> Result<String> {
+/// Measures the viewer in Chromium (`tests/browser/measure.mjs`), in the caller's folder.
+pub(super) fn measure(arguments: &[String]) -> Result<()> {
+    if !can_test() {
+        bail!("no node with npm, or no chromium (CHROMIUM names another): `cargo xtask setup` on Debian");
+    }
+    build(Modules::All)?;
+    run("cargo", &["build", "--release", "-p", "lodestream-server", "-p", "lodestream-client"], &[])?;
+    let mut arguments = arguments.to_vec();
+    if arguments.first().is_some_and(|what| what == "decode") {
+        wasm_cargo("build", &["-p", "lodestream-wasm-decoder", "--profile", "browser"])?;
+        let module = target_dir().join("browser/wasm32-unknown-unknown/browser/lodestream_wasm_decoder.wasm");
+        arguments.extend(["--decoder".into(), module.to_str().context("the path of the project is not UTF-8")?.into()]);
+    }
+    let folder = root().join("tests/browser");
+    let name = folder.to_str().context("the path of the project is not UTF-8")?;
+    run("npm", &["--prefix", name, "ci", "--no-audit", "--no-fund"], &[])?;
+    let binary = |name: &str| target_dir().join("release").join(name);
+    let status = Command::new("node")
+        // Modules are compiled as browsers do after a second, so that short measurements are of that.
+        .arg("--no-liftoff")
+        .arg(folder.join("measure.mjs"))
+        .args(&arguments)
+        .env("SERVER_BIN", binary("lodestream-server"))
+        .env("CLIENT_BIN", binary("lodestream"))
+        .status()
+        .context("cannot run node")?;
+    if status.success() { Ok(()) } else { bail!("the measurement failed ({status})") }
+}
+
+/// Builds the client with these features and returns where the module is, under a name that the next build leaves alone.
+fn module(features: &str, name: &str) -> Result<String> {
     let what = ["-p", "lodestream-client", "--lib", "--crate-type", "cdylib", "--profile", "browser"];
     wasm_cargo("rustc", &[&what[..], &["--no-default-features", "--features", features]].concat())?;
-    let path = target_dir().join("browser/wasm32-unknown-unknown/browser/lodestream_client.wasm");
+    let built = target_dir().join("browser/wasm32-unknown-unknown/browser/lodestream_client.wasm");
+    let path = built.with_file_name(format!("{name}.wasm"));
+    std::fs::copy(&built, &path).with_context(|| format!("cannot copy '{}'", built.display()))?;
     Ok(path.to_str().context("the path of the project is not UTF-8")?.to_owned())
 }

@@ -12,7 +12,9 @@ mod growth;
 const USAGE: &str = "usage: cargo xtask <command>
 
   demo [args]   build everything and run `lodestream-server demo`: a sample model, ingested and served
-  browser       build the viewer for browsers into target/browser/bundle, which servers built afterwards embed
+  browser       build the viewer for browsers (WebGPU, and WebGL 2 where that is missing) into target/browser/bundle, which servers built afterwards embed
+  page WHAT [args]
+                measure the viewer in Chromium: pictures, first, frames, flight or decode, with --repository DIR --model ID
   test          everything that has to pass: format, lints, tests, docs, browser build and its twin, fuzz smoke, 10^7 ops of soak
   fuzz [secs]   mutate frames, batches and mesh files for so many seconds per target (default 20)
   bench [args]  measure the figures of TARGETS.md: [ROW...] [FILE...] [--json] [--bits N] [--runs N]; models of LODESTREAM_MESHES
@@ -33,7 +35,8 @@ fn main() -> ExitCode {
     let rest: Vec<String> = args.collect();
     let result = match command.as_str() {
         "demo" => demo(&rest),
-        "browser" => browser::build(),
+        "browser" => browser::build(browser::Modules::All),
+        "page" => browser::measure(&rest),
         "test" => test(),
         "fuzz" => fuzz(rest.first().map_or("20", String::as_str)),
         "bench" => program("bench", &rest),
@@ -78,7 +81,7 @@ fn run(program: &str, args: &[&str], environment: &[(&str, &str)]) -> Result<()>
 
 fn demo(args: &[String]) -> Result<()> {
     if wasm_toolchain() {
-        browser::build()?;
+        browser::build(browser::Modules::All)?;
     } else {
         println!("without a wasm32 toolchain the demo's page has no viewer (cargo xtask setup installs one on Debian)");
     }
@@ -134,7 +137,7 @@ fn test() -> Result<()> {
     run("cargo", &["doc", "--workspace", "--no-deps", "--quiet"], &[("RUSTDOCFLAGS", "-D warnings")])?;
     if wasm_toolchain() {
         wasm_check()?;
-        browser::build()?;
+        browser::build(browser::Modules::WebGpu)?;
         if browser::can_test() {
             browser::test()?;
         }

@@ -1,7 +1,7 @@
 //! The decoder of ops as a WebAssembly module without imports.
 //!
-//! A host calls [`push`] for each byte of the base and then [`base`], likewise [`push`] and [`batch`] for each batch. It needs no
-//! view of the module's memory. Whatever goes wrong traps.
+//! A host calls [`push`] for each byte of the base and then [`base`], likewise [`push`] and [`batch`] for each batch; or [`push`] and
+//! [`frame`] for each frame that a server sent. It needs no view of the module's memory. Whatever goes wrong traps.
 
 // Exporting a name is the only thing here that asks for it.
 #![allow(unsafe_code)]
@@ -10,12 +10,16 @@ use std::cell::RefCell;
 use std::mem::take;
 use std::num::NonZeroU16;
 
+use lodestream_protocol::message::ServerMessage;
 use lodestream_protocol::op::{OpState, decode_base, decode_batch};
+use lodestream_protocol::wire::decode_server;
 
 #[derive(Default)]
 struct Module {
     bytes: Vec<u8>,
     state: Option<OpState>,
+    /// That of the batches, until one says otherwise.
+    limit: u32,
 }
 
 thread_local! {
@@ -57,5 +61,28 @@ pub extern "C" fn batch(limit: u32) -> u64 {
         let state = module.state.as_mut().expect("a base comes first");
         decode_batch(&take(&mut module.bytes), state, limit).expect("the batch decodes");
         state.replica().digest()
+    })
+}
+
+/// Does what the frame that was pushed says, and checks the digest that a batch carries. Returns how many vertices were split.
+#[unsafe(no_mangle)]
+pub extern "C" fn frame() -> u32 {
+    with(|module| match decode_server(&take(&mut module.bytes)).expect("a frame of a server") {
+        ServerMessage::Welcome { model, cache_entries, base, .. } => {
+            let (bits, has_colors) = (model.lattice.bits, model.has_colors);
+            let base = decode_base(&base, bits, has_colors).expect("the base decodes");
+            let state = OpState::new(&base, bits, has_colors, model.has_moves, cache_entries);
+            module.state = Some(state.expect("the base is a manifold").with_step(model.visual_step));
+            0
+        }
+        ServerMessage::Batch(batch) => {
+            module.limit = batch.limit.unwrap_or(module.limit);
+            let state = module.state.as_mut().expect("a welcome comes first");
+            let counts = decode_batch(&batch.ops, state, module.limit).expect("the batch decodes");
+            assert_eq!(state.replica().digest() as u32, batch.digest, "the mesh is not the server's");
+            counts.splits
+        }
+        ServerMessage::Settled(_) => 0,
+        ServerMessage::Restart | ServerMessage::Resumed { .. } => panic!("a session that goes one way"),
     })
 }

@@ -37,6 +37,12 @@ pub struct Figures {
     pub uploaded_bytes: u64,
     /// Most bytes uploaded for one image so far, whole meshes aside.
     pub most_uploaded_bytes: u64,
+    /// Images for which more was uploaded than the allowance, whole meshes aside.
+    pub images_over_allowance: u32,
+    /// Ops applied for the last image.
+    pub applied_ops: u32,
+    /// Most of them for one image so far.
+    pub most_applied_ops: u32,
     /// Views sent on this connection.
     pub views: u64,
 }

@@ -15,6 +15,8 @@ const BYTE_RATE: (u32, u32) = (1_000, 1_000_000_000);
 const IMAGES_PER_S: (f32, f32) = (1.0, 240.0);
 /// How dark crevices are.
 const OCCLUSION: f32 = 0.8;
+/// How far towards white the background goes.
+const GRADIENT: f32 = 0.16;
 const MEMORY_MIB: (u32, u32) = (16, 65_536);
 
 /// A number that may be left to the program.
@@ -111,6 +113,8 @@ pub struct Settings {
     pub light: Auto<Vec3>,
     /// Colour behind the model, in sRGB; auto is the renderer's.
     pub background: Auto<[u8; 3]>,
+    /// The background grows lighter towards the upper edge; auto where its colour is.
+    pub gradient: Auto<bool>,
     /// Where the model is cut.
     pub section: Option<Section>,
 }
@@ -154,6 +158,7 @@ impl Settings {
             "morph" => self.morph = auto("morph", value, "on, off or auto", switch)?,
             "light" => self.light = auto("light", value, "x,y,z or auto", direction)?,
             "background" => self.background = auto("background", value, "rrggbb or auto", rgb)?,
+            "gradient" => self.gradient = auto("gradient", value, "on, off or auto", switch)?,
             "shading" => {
                 self.shading = match value {
                     "smooth" => Shading::Smooth,
@@ -191,8 +196,14 @@ impl Settings {
             ("morph", self.morph.fixed().map_or("auto".into(), on_off)),
             ("light", self.light.fixed().map_or("auto".into(), |light| format!("{},{},{}", light.x, light.y, light.z))),
             ("background", self.background.fixed().map_or("auto".into(), |[r, g, b]| format!("{r:02x}{g:02x}{b:02x}"))),
+            ("gradient", self.gradient.fixed().map_or("auto".into(), on_off)),
             ("section", self.section.map_or("off".into(), |section| section.to_string())),
         ]
+    }
+
+    /// Whether the background has a gradient: a colour that someone chose is that colour.
+    pub fn is_gradient(&self) -> bool {
+        self.gradient.fixed().unwrap_or(self.background == Auto::Auto)
     }
 
     /// What the renderer is told for a model, with the plane of the section in model units. Crevices are dark by themselves if
@@ -207,12 +218,14 @@ impl Settings {
         let defaults = RenderOptions::default();
         let vertex_colors = has_colors && self.colors.fixed().unwrap_or(true);
         let occlusion = self.occlusion.fixed().unwrap_or(spend && !vertex_colors);
+        let background = self.background.fixed().unwrap_or(defaults.background);
         RenderOptions {
             shading: self.shading,
             vertex_colors,
             occlusion: if occlusion { OCCLUSION } else { 0.0 },
             crease_angle_deg,
-            background: self.background.fixed().unwrap_or(defaults.background),
+            background,
+            background_top: self.is_gradient().then(|| background.map(lighter)),
             wireframe: self.wireframe,
             refinement_colors: self.levels,
             tint_backs: self.backs,
@@ -221,6 +234,11 @@ impl Settings {
             ..defaults
         }
     }
+}
+
+/// What a channel of the background is at the upper edge.
+fn lighter(byte: u8) -> u8 {
+    byte + ((255 - byte) as f32 * GRADIENT) as u8
 }
 
 impl fmt::Display for Section {
@@ -325,6 +343,7 @@ mod tests {
             ("morph", "off"),
             ("light", "0.5,-0.25,1"),
             ("background", "0aff30"),
+            ("gradient", "off"),
             ("section", "z,0.25,flip"),
         ] {
             settings.set(key, value).unwrap();

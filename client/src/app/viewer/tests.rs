@@ -1,10 +1,10 @@
 use lodestream_protocol::ids::ViewSeq;
-use lodestream_protocol::message::ClientMessage;
-use lodestream_protocol::wire::decode_client;
+use lodestream_protocol::message::{ClientMessage, Resume, ServerMessage};
+use lodestream_protocol::wire::{decode_client, encode_server};
 
 use super::*;
 use crate::camera::navigate::StandardView;
-use crate::fake_server::FakeServer;
+use crate::fake_server::{FakeServer, TOKEN};
 
 const VIEWPORT: Viewport = Viewport { width_px: 800, height_px: 600 };
 
@@ -22,7 +22,7 @@ fn sent(viewer: &mut Viewer, now: Timestamp) -> Vec<ClientMessage> {
 
 /// A viewer that has its base and a settled mesh, and its server.
 fn settled() -> (Viewer, FakeServer) {
-    let mut viewer = Viewer::new(at(0), ViewerOptions::new(VIEWPORT));
+    let mut viewer = Viewer::new(ViewerOptions::new(VIEWPORT));
     viewer.tick(at(0));
     assert_eq!(requests(&mut viewer), [Request::Open(Wire::Main)]);
     assert_eq!(viewer.state(), &State::Connecting);
@@ -79,17 +79,17 @@ fn a_viewer_connects_refines_and_rests() {
 fn a_hint_saves_a_round_trip_and_an_early_hello_another() {
     let hint = Hint { bounds: Bounds { center: DVec3::ZERO, radius: 1.0 }, smallest_limit: 4 };
     let options = ViewerOptions { hint: Some(hint), ..ViewerOptions::new(VIEWPORT) };
-    let mut other = Viewer::new(at(0), options.clone());
+    let mut other = Viewer::new(options.clone());
     other.tick(at(0));
     other.handle_open(at(1), Wire::Main);
     let (_, hello) = other.poll_transmit(at(1)).unwrap();
-    let mut viewer = Viewer::new(at(5), options.clone());
+    let mut viewer = Viewer::new(options.clone());
     assert!(viewer.adopt(at(5), &hello));
     viewer.tick(at(5));
     assert_eq!(requests(&mut viewer), []);
     assert!(matches!(sent(&mut viewer, at(5))[..], [ClientMessage::View { .. }]), "before the welcome");
     // A link that asks for something else in the hello.
-    let mut viewer = Viewer::new(at(5), ViewerOptions { link: "rate=5000".into(), ..options });
+    let mut viewer = Viewer::new(ViewerOptions { link: "rate=5000".into(), ..options });
     assert!(!viewer.adopt(at(5), &hello));
     viewer.tick(at(5));
     assert_eq!(requests(&mut viewer), [Request::Open(Wire::Main)]);
@@ -110,7 +110,7 @@ fn the_picture_stays_until_the_new_mesh_is_as_good() {
 
     let mut server = FakeServer::new();
     viewer.handle_open(at(2000), Wire::Main);
-    sent(&mut viewer, at(2000));
+    assert!(matches!(sent(&mut viewer, at(2000))[0], ClientMessage::Resume(_)));
     viewer.handle_frame(at(2001), Wire::Main, &server.welcome());
     viewer.handle_frame(at(2002), Wire::Main, &server.batch(ViewSeq(1), 4));
     viewer.tick(at(2003));
@@ -128,6 +128,51 @@ fn the_picture_stays_until_the_new_mesh_is_as_good() {
 }
 
 #[test]
+fn a_session_goes_on_over_the_next_connection() {
+    let (mut viewer, mut server) = settled();
+    draw(&mut viewer, at(300));
+    let (triangles, generation) = (server.replica().triangle_count(), viewer.session.generation());
+    // What has arrived is not asked for again, whether it was applied or not.
+    viewer.handle_frame(at(399), Wire::Main, &server.batch(ViewSeq(1), 20));
+    viewer.handle_end(at(400), Wire::Main, &Ending::Lost);
+    viewer.handle_end(at(400), Wire::Main, &Ending::Lost);
+    let wake = viewer.tick(at(401)).wake.expect("it tries again");
+    assert_eq!(viewer.state(), &State::Reconnecting);
+    assert!(wake <= at(660), "{wake:?}");
+    viewer.tick(at(660));
+    requests(&mut viewer);
+    viewer.handle_open(at(700), Wire::Main);
+    let messages = sent(&mut viewer, at(700));
+    let [ClientMessage::Resume(resume), ClientMessage::View { seq: ViewSeq(1), .. }] = &messages[..] else {
+        panic!("{messages:?}")
+    };
+    assert_eq!((resume.token, resume.received), (TOKEN, Some(server.seq())));
+    viewer.handle_frame(at(710), Wire::Main, &encode_server(&ServerMessage::Resumed { token: TOKEN }));
+    viewer.handle_frame(at(711), Wire::Main, &server.settled(ViewSeq(1)));
+    viewer.tick(at(712));
+    assert_eq!(viewer.state(), &State::Settled { limited: true });
+    assert!(server.replica().triangle_count() > triangles);
+    assert_eq!(viewer.figures(at(712)).triangles, server.replica().triangle_count());
+    assert_eq!(viewer.session.generation(), generation, "no new picture");
+    assert_eq!(viewer.session.stats().resumed, 1);
+}
+
+#[test]
+fn nonsense_makes_the_session_begin_anew() {
+    let (mut viewer, server) = settled();
+    draw(&mut viewer, at(300));
+    viewer.handle_frame(at(500), Wire::Main, &[9, 9, 9]);
+    viewer.tick(at(1000));
+    assert_eq!(requests(&mut viewer), [Request::Close(Wire::Main), Request::Open(Wire::Main)]);
+    assert_eq!(viewer.figures(at(1000)).triangles, server.replica().triangle_count(), "what was seen is still there");
+    viewer.handle_open(at(1001), Wire::Main);
+    assert!(matches!(sent(&mut viewer, at(1001))[0], ClientMessage::Hello(_)));
+    viewer.handle_frame(at(1002), Wire::Main, &FakeServer::new().welcome());
+    viewer.tick(at(1003));
+    assert_eq!(viewer.state().name(), "refining");
+}
+
+#[test]
 fn endings_are_told_apart() {
     for (ending, name) in [
         (Ending::NoSuchModel, "gone"),
@@ -135,7 +180,7 @@ fn endings_are_told_apart() {
         (Ending::Refused("no".into()), "failed"),
         (Ending::Closed { code: 4001, reason: String::new() }, "failed"),
     ] {
-        let mut viewer = Viewer::new(at(0), ViewerOptions::new(VIEWPORT));
+        let mut viewer = Viewer::new(ViewerOptions::new(VIEWPORT));
         viewer.tick(at(0));
         viewer.handle_end(at(1), Wire::Main, &ending);
         viewer.tick(at(2));
@@ -185,8 +230,8 @@ fn limits_follow_settings_memory_and_the_model() {
     viewer.tick(at(600));
     assert_eq!(requests(&mut viewer), [Request::Close(Wire::Main), Request::Open(Wire::Main)]);
     viewer.handle_open(at(601), Wire::Main);
-    let hello = sent(&mut viewer, at(601)).remove(0);
-    assert!(matches!(hello, ClientMessage::Hello(hello) if hello.byte_rate == Some(9000)), "{hello:?}");
+    let first = sent(&mut viewer, at(601)).remove(0);
+    assert!(matches!(first, ClientMessage::Resume(Resume { hello, .. }) if hello.byte_rate == Some(9000)), "{first:?}");
     viewer.command(at(700), Command::Set { key: "rate".into(), value: "much".into() });
     assert!(matches!(viewer.poll_event(), Some(Event::Notice(text)) if text.contains("much")));
 }

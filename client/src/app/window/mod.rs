@@ -7,11 +7,12 @@
 //! All decisions are the viewer's: this is to a window what `web` is to a page.
 
 mod panel;
+mod rehearsal;
 mod screen;
 mod socket;
 
 use std::fmt::Write as _;
-use std::io::Write as _;
+use std::io::{Read as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -25,7 +26,7 @@ use winit::keyboard::{ModifiersState, PhysicalKey};
 use winit::window::{Window, WindowId};
 
 use super::file::{FileError, write_aside};
-use super::viewer::command::Event;
+use super::viewer::command::{Command, Event};
 use super::viewer::state::State;
 use super::viewer::{Ending, Request, Viewer, ViewerOptions, Wire};
 use crate::camera::Viewport;
@@ -33,6 +34,8 @@ use crate::camera::gesture::Press;
 use crate::net::target::Target;
 use crate::render::RenderError;
 use panel::{Surroundings, Wish};
+pub use rehearsal::PlayReport;
+use rehearsal::Rehearsal;
 use screen::{Painted, PaintedPanel, Screen};
 use socket::{Incoming, Socket};
 
@@ -46,6 +49,8 @@ const LINE_PX: f64 = 50.0;
 const REPEATED: [&str; 6] = ["Arrow", "Equal", "Minus", "Numpad", "Bracket", "Slash"];
 /// Beginnings of the names of keys that go from control to control of the panel, and press them.
 const FOCUS_KEYS: [&str; 5] = ["Arrow", "Enter", "Escape", "Space", "Tab"];
+/// Most bytes of a recording: more than the longest that can be made.
+const MAX_RECORDING_BYTES: u64 = 64 << 20;
 /// Identity of the mouse among pointers; fingers come after it.
 const MOUSE: i32 = 0;
 
@@ -62,6 +67,8 @@ pub struct WindowOptions {
     pub folder: PathBuf,
     /// Write a screenshot here when all detail is there, and end.
     pub picture: Option<PathBuf>,
+    /// Play this recording when all detail is there, and end with a report.
+    pub play: Option<PathBuf>,
 }
 
 /// Why there is no window, or none any more.
@@ -80,6 +87,9 @@ pub enum WindowError {
     /// The picture could not be written.
     #[error(transparent)]
     File(#[from] FileError),
+    /// The recording cannot be read.
+    #[error("cannot play {0}")]
+    NoRecording(String),
     /// The viewer stopped before there was a picture.
     #[error("there is no picture: {0}")]
     NoPicture(String),
@@ -89,13 +99,18 @@ pub enum WindowError {
 ///
 /// # Errors
 /// [`WindowError`].
-pub fn run(options: WindowOptions) -> Result<(), WindowError> {
+pub fn run(options: WindowOptions) -> Result<Option<PlayReport>, WindowError> {
     let events = EventLoop::<Woken>::with_user_event().build().map_err(|_| WindowError::NoDesktop)?;
     let mut app = App::new(options, events.create_proxy());
+    if let Some(path) = &app.options.play {
+        let file =
+            read_recording(path).map_err(|error| WindowError::NoRecording(format!("{}: {error}", path.display())))?;
+        app.rehearsal = Some(Rehearsal::new(file));
+    }
     events.run_app(&mut app).map_err(|_| WindowError::NoDesktop)?;
     match app.failure {
         Some(error) => Err(error),
-        None => Ok(()),
+        None => Ok(app.report),
     }
 }
 
@@ -113,6 +128,8 @@ struct App {
     cursor_px: [f64; 2],
     modifiers: ModifiersState,
     notice: Option<(String, Timestamp)>,
+    /// The recording that was written last.
+    recording: Option<PathBuf>,
     /// The panel wants to be drawn at this time.
     panel_due: Option<Timestamp>,
     /// Nothing is shown before.
@@ -120,6 +137,8 @@ struct App {
     /// The viewer has asked for the image that comes next.
     is_asked: bool,
     failure: Option<WindowError>,
+    rehearsal: Option<Rehearsal>,
+    report: Option<PlayReport>,
 }
 
 /// What there is while there is a window.
@@ -140,7 +159,7 @@ impl App {
             ..ViewerOptions::new(viewport)
         };
         Self {
-            viewer: Viewer::new(Timestamp(Duration::ZERO), viewer_options),
+            viewer: Viewer::new(viewer_options),
             options,
             start: Instant::now(),
             proxy,
@@ -149,10 +168,13 @@ impl App {
             cursor_px: [0.0; 2],
             modifiers: ModifiersState::empty(),
             notice: None,
+            recording: None,
             panel_due: None,
             hidden_until: None,
             is_asked: false,
             failure: None,
+            rehearsal: None,
+            report: None,
         }
     }
 
@@ -166,8 +188,12 @@ impl App {
             .with_title(format!("{} - Lodestream", self.options.target.model))
             .with_inner_size(winit::dpi::LogicalSize::new(width, height));
         let window = Arc::new(events.create_window(attributes).map_err(|_| WindowError::NoWindow)?);
+        Self::equip(window, egui::Context::default())
+    }
+
+    /// Device and panel for a window.
+    fn equip(window: Arc<Window>, context: egui::Context) -> Result<Opened, WindowError> {
         let screen = Screen::open(window.clone())?;
-        let context = egui::Context::default();
         let input = egui_winit::State::new(
             context,
             egui::ViewportId::ROOT,
@@ -177,6 +203,25 @@ impl App {
             Some(screen.max_texture_side()),
         );
         Ok(Opened { device: screen.describe(), window, screen, input })
+    }
+
+    /// Goes on with another device: this one is gone.
+    fn reopen(&mut self, events: &ActiveEventLoop) {
+        let Some(Opened { window, input, screen, .. }) = self.opened.take() else { return };
+        // A window has one surface at a time.
+        drop(screen);
+        // The panel's textures went with the device, and only a new context says them again; what is open stays open.
+        let context = egui::Context::default();
+        context.memory_mut(|memory| *memory = input.egui_ctx().memory(Clone::clone));
+        match Self::equip(window, context) {
+            Ok(opened) => {
+                opened.window.request_redraw();
+                self.opened = Some(opened);
+                self.viewer.redraw();
+                self.notify("the graphics device was lost: drawing goes on with a new one".into());
+            }
+            Err(error) => self.fail(events, error),
+        }
     }
 
     fn fail(&mut self, events: &ActiveEventLoop, error: WindowError) {
@@ -239,8 +284,10 @@ impl App {
         while let Some(event) = self.viewer.poll_event() {
             match event {
                 Event::Notice(text) => self.notify(text),
-                Event::Recorded(file) => self.save("views", "jsonl", |_, path| {
-                    write_aside(path, |out| out.write_all(&file)).map_err(Into::into)
+                Event::Recorded(file) => self.save("views", "jsonl", |app, path| {
+                    write_aside(path, |out| out.write_all(&file))?;
+                    app.recording = Some(path.to_owned());
+                    Ok(())
                 }),
                 Event::Marked | Event::Played => self.panel_due = Some(self.now()),
             }
@@ -251,6 +298,14 @@ impl App {
         let now = self.now();
         self.notice = Some((text, now + NOTICE_TIME));
         self.panel_due = Some(now);
+    }
+
+    /// Plays a recording.
+    fn play(&mut self, path: &Path) {
+        match read_recording(path) {
+            Ok(file) => self.viewer.command(self.now(), Command::Play(file)),
+            Err(error) => self.notify(format!("cannot read '{}': {error}", path.display())),
+        }
     }
 
     /// Writes a file of a name that is free and says so, or why not.
@@ -282,6 +337,11 @@ impl App {
         let now = self.now();
         match wish {
             Wish::Do(command) => self.viewer.command(now, command),
+            Wish::Play => {
+                if let Some(path) = self.recording.clone() {
+                    self.play(&path);
+                }
+            }
             Wish::Screenshot => self.save("view", "png", Self::write_picture),
             Wish::CopyLink => {
                 let Some(link) = self.viewer.link() else { return };
@@ -303,6 +363,7 @@ impl App {
         let surroundings = Surroundings {
             model: &self.options.target.model,
             device: &opened.device,
+            has_recording: self.recording.is_some(),
             notice: notice.map(|(text, _)| text.as_str()),
         };
         let notice_end = notice.map(|(_, until)| *until);
@@ -330,12 +391,33 @@ impl App {
                     && std::mem::take(&mut self.is_asked)
                 {
                     self.viewer.note_drawn(now, &stats);
+                    if let Some(rehearsal) = &mut self.rehearsal {
+                        rehearsal.note_image(Timestamp(self.start.elapsed()), &mut self.viewer);
+                    }
                 }
             }
             Ok(Painted::Hidden) => self.hidden_until = Some(now + HIDDEN_PAUSE),
+            Ok(Painted::Lost) => return self.reopen(events),
             Err(error) => return self.fail(events, error.into()),
         }
         wishes.into_iter().for_each(|wish| self.grant(wish));
+    }
+
+    fn rehearse(&mut self, events: &ActiveEventLoop) {
+        let now = self.now();
+        let Some(rehearsal) = &mut self.rehearsal else { return };
+        rehearsal.poll(now, &mut self.viewer);
+        if let State::Gone | State::Failed { .. } = self.viewer.state() {
+            let reason = self.viewer.state().to_string();
+            return self.fail(events, WindowError::NoPicture(reason));
+        }
+        if rehearsal.is_over(&self.viewer)
+            && let Some(rehearsal) = self.rehearsal.take()
+        {
+            let device = self.opened.as_ref().map_or("", |opened| &opened.device);
+            self.report = rehearsal.report(&self.viewer.figures(now), device);
+            events.exit();
+        }
     }
 
     fn finish_picture(&mut self, events: &ActiveEventLoop) {
@@ -388,6 +470,7 @@ impl ApplicationHandler<Woken> for App {
                 opened.screen.resize([width, height]);
                 self.viewer.resize(Viewport { width_px: width.max(1), height_px: height.max(1) }, scale);
             }
+            WindowEvent::DroppedFile(path) => self.play(&path),
             WindowEvent::Focused(false) => self.viewer.cancel(now),
             WindowEvent::ModifiersChanged(modifiers) => self.modifiers = modifiers.state(),
             WindowEvent::CursorMoved { position, .. } => {
@@ -452,6 +535,7 @@ impl ApplicationHandler<Woken> for App {
         self.exchange();
         self.handle_viewer_events();
         self.finish_picture(events);
+        self.rehearse(events);
         let Some(opened) = &self.opened else { return };
         self.is_asked |= tick.draw;
         let is_due = tick.draw || self.panel_due.is_some_and(|due| due <= now);
@@ -465,6 +549,16 @@ impl ApplicationHandler<Woken> for App {
             Some(at) => ControlFlow::WaitUntil(self.start + at.0),
             None => ControlFlow::Wait,
         });
+    }
+}
+
+/// A recording, as far as it can be one.
+fn read_recording(path: &Path) -> std::io::Result<Vec<u8>> {
+    let mut file = Vec::new();
+    std::fs::File::open(path)?.take(MAX_RECORDING_BYTES + 1).read_to_end(&mut file)?;
+    match file.len() as u64 > MAX_RECORDING_BYTES {
+        true => Err(std::io::Error::new(std::io::ErrorKind::FileTooLarge, "it is too large for a recording")),
+        false => Ok(file),
     }
 }
 

@@ -3,20 +3,25 @@
 use egui::{Align2, Color32, Context, Pos2, RichText, Slider, Ui};
 use lodestream_protocol::time::Timestamp;
 
-use super::super::viewer::Viewer;
 use super::super::viewer::command::{Command, Tool};
 use super::super::viewer::figures::Figures;
 use super::super::viewer::settings::{Auto, Axis, Section, Settings};
 use super::super::viewer::state::State;
+use super::super::viewer::{Automatic, Viewer};
 use crate::camera::UpAxis;
 use crate::camera::navigate::StandardView;
 use crate::render::Shading;
+
+/// Width of the panel in points: a slider with its name, its value and its box.
+const WIDTH: f32 = 330.0;
 
 /// What a person asks of the window itself.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Wish {
     /// Something for the viewer.
     Do(Command),
+    /// The recording made last.
+    Play,
     /// The picture as a file.
     Screenshot,
     /// The link to this view in the clipboard.
@@ -29,6 +34,8 @@ pub(super) struct Surroundings<'a> {
     pub(super) model: &'a str,
     /// What draws.
     pub(super) device: &'a str,
+    /// Whether there is a recording to play.
+    pub(super) has_recording: bool,
     /// Sentence for a person, as long as it is worth showing.
     pub(super) notice: Option<&'a str>,
 }
@@ -44,6 +51,8 @@ pub(super) fn show(
     let figures = viewer.figures(now);
     let settings = *viewer.settings();
     egui::Window::new(surroundings.model).anchor(Align2::LEFT_TOP, [12.0, 12.0]).auto_sized().show(context, |ui| {
+        // What is as wide as there is room would cover the picture.
+        ui.set_width(WIDTH.min(context.content_rect().width() - 40.0));
         // As high as what is open, but not beyond the window.
         let most = context.content_rect().height() - 80.0;
         egui::ScrollArea::vertical().max_height(most).show(ui, |ui| {
@@ -52,10 +61,10 @@ pub(super) fn show(
             show_figures(ui, &figures);
             ui.separator();
             show_views(ui, viewer, wishes);
-            ui.collapsing("Detail", |ui| show_detail(ui, &settings, &figures, wishes));
+            ui.collapsing("Detail", |ui| show_detail(ui, &settings, &viewer.automatic(), wishes));
             ui.collapsing("Shading", |ui| show_shading(ui, &settings, viewer, wishes));
             ui.collapsing("Section", |ui| show_section(ui, settings.section, wishes));
-            ui.collapsing("Tools", |ui| show_tools(ui, viewer, wishes));
+            ui.collapsing("Tools", |ui| show_tools(ui, viewer, surroundings.has_recording, wishes));
             ui.label(RichText::new(surroundings.device).small().weak());
         });
     });
@@ -144,15 +153,17 @@ struct AutoSlider<'a> {
 }
 
 impl AutoSlider<'_> {
-    /// `automatic` is what the program chooses, where the slider starts.
-    fn show(&self, ui: &mut Ui, value: Option<f64>, automatic: f64, wishes: &mut Vec<Wish>) {
+    /// `automatic` is what the program chooses, where the slider starts; `None` if that is no limit.
+    fn show(&self, ui: &mut Ui, value: Option<f64>, automatic: Option<f64>, wishes: &mut Vec<Wish>) {
         ui.label(self.name);
-        let mut number = value.unwrap_or(automatic);
+        let is_unlimited = value.or(automatic).is_none();
+        let mut number = value.or(automatic).unwrap_or(*self.range.end());
         let slider = Slider::new(&mut number, self.range.clone())
             .logarithmic(true)
             .suffix(self.unit)
             .max_decimals(self.decimals)
             .smart_aim(true);
+        let slider = if is_unlimited { slider.suffix("").custom_formatter(|_, _| "no limit".into()) } else { slider };
         if ui.add_enabled(value.is_some(), slider).changed() {
             set(wishes, self.key, rounded(number, self.decimals));
         }
@@ -171,37 +182,37 @@ fn rounded(number: f64, decimals: usize) -> String {
     format!("{number:.decimals$}")
 }
 
-fn show_detail(ui: &mut Ui, settings: &Settings, figures: &Figures, wishes: &mut Vec<Wish>) {
+fn show_detail(ui: &mut Ui, settings: &Settings, automatic: &Automatic, wishes: &mut Vec<Wish>) {
     let slider = |key, name, unit, range, decimals| AutoSlider { key, name, unit, range, decimals };
     egui::Grid::new("detail").num_columns(3).show(ui, |ui| {
         slider("triangles", "Triangles", "", 1e3..=2e7, 0).show(
             ui,
             settings.triangles.fixed().map(f64::from),
-            figures.limit.into(),
+            Some(automatic.triangles.into()),
             wishes,
         );
         slider("tolerance", "Tolerance", " px", 0.1..=20.0, 2).show(
             ui,
             settings.tolerance_px.fixed().map(f64::from),
-            1.0,
+            Some(automatic.tolerance_px.into()),
             wishes,
         );
         slider("rate", "Bytes per s", "", 1e4..=1e8, 0).show(
             ui,
             settings.byte_rate.fixed().map(f64::from),
-            1e7,
+            None,
             wishes,
         );
         slider("fps", "Images per s", "", 1.0..=240.0, 0).show(
             ui,
             settings.images_per_s.fixed().map(f64::from),
-            30.0,
+            Some(automatic.images_per_s.into()),
             wishes,
         );
         slider("memory", "Memory", " MiB", 16.0..=16384.0, 0).show(
             ui,
             settings.memory_mib.fixed().map(f64::from),
-            1024.0,
+            Some(automatic.memory_mib.into()),
             wishes,
         );
     });
@@ -231,6 +242,7 @@ fn show_shading(ui: &mut Ui, settings: &Settings, viewer: &Viewer, wishes: &mut 
     if has_colors {
         switch(ui, "colors", "Colours of the model", settings.colors.fixed().unwrap_or(true));
     }
+    switch(ui, "gradient", "Lighter above", settings.is_gradient());
     ui.horizontal(|ui| {
         let mut color = settings.background.fixed().unwrap_or(crate::render::RenderOptions::default().background);
         if ui.color_edit_button_srgb(&mut color).changed() {
@@ -291,7 +303,7 @@ fn show_section(ui: &mut Ui, section: Option<Section>, wishes: &mut Vec<Wish>) {
     }
 }
 
-fn show_tools(ui: &mut Ui, viewer: &Viewer, wishes: &mut Vec<Wish>) {
+fn show_tools(ui: &mut Ui, viewer: &Viewer, has_recording: bool, wishes: &mut Vec<Wish>) {
     ui.horizontal(|ui| {
         for (name, hint, tool) in [
             ("Turn", "Drags turn the model", Tool::Look),
@@ -323,6 +335,16 @@ fn show_tools(ui: &mut Ui, viewer: &Viewer, wishes: &mut Vec<Wish>) {
         true if ui.button("Stop recording").clicked() => wishes.push(Wish::Do(Command::StopRecording)),
         false if ui.button("Record views").clicked() => wishes.push(Wish::Do(Command::Record)),
         _ => {}
+    });
+    ui.horizontal(|ui| match viewer.is_playing() {
+        true if ui.button("Stop playing").clicked() => wishes.push(Wish::Do(Command::StopPlaying)),
+        true => {}
+        false => {
+            let button = ui.add_enabled(has_recording, egui::Button::new("Play the last recording"));
+            if button.on_hover_text("Another one: drop its file on the window").clicked() {
+                wishes.push(Wish::Play);
+            }
+        }
     });
 }
 

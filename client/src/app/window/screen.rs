@@ -30,6 +30,8 @@ pub(super) enum Painted {
     Shown(Option<DrawStats>),
     /// The window cannot show anything now.
     Hidden,
+    /// The device is gone: another [`Screen`] is needed.
+    Lost,
 }
 
 impl Screen {
@@ -72,6 +74,9 @@ impl Screen {
         lines: &[Line],
         mut panel: PaintedPanel,
     ) -> Result<Painted, RenderError> {
+        if self.gpu.is_lost() {
+            return Ok(Painted::Lost);
+        }
         // Textures are told once, whether the image is shown or not.
         for (id, deltas) in std::mem::take(&mut panel.textures.set) {
             for delta in &deltas {
