@@ -7,7 +7,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures_util::{SinkExt, StreamExt};
-use lodestream_protocol::ids::Token;
 use lodestream_protocol::limits::MAX_CLIENT_FRAME_BYTES;
 use lodestream_protocol::message::CloseCode;
 use lodestream_protocol::time::Timestamp;
@@ -20,7 +19,7 @@ use tokio_tungstenite::{WebSocketStream, client_async};
 
 use super::*;
 use crate::runtime::Core;
-use crate::session::{SessionError, SessionStats, WantedPages};
+use crate::session::{SessionError, SessionStats};
 
 /// No test takes longer.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -47,26 +46,6 @@ impl Core for Echo {
 
     fn poll_transmit(&mut self, _now: Timestamp) -> Result<Option<Vec<u8>>, SessionError> {
         Ok(self.frames.pop_front())
-    }
-
-    fn poll_timeout(&self) -> Option<Timestamp> {
-        None
-    }
-
-    fn poll_wanted(&mut self) -> Option<WantedPages> {
-        None
-    }
-
-    fn handle_pages(&mut self) -> Result<(), SessionError> {
-        Ok(())
-    }
-
-    fn rest(&mut self) {}
-
-    fn offer(&mut self, _: Token) {}
-
-    fn park(&mut self) -> bool {
-        false
     }
 
     fn stats(&self) -> SessionStats {

@@ -29,7 +29,7 @@ const SHORTEST_WAIT: Duration = Duration::from_millis(1);
 /// How long a connection waits for another one to give up the session: for the end of a slice.
 const TAKEOVER_LIMIT: Duration = Duration::from_secs(10);
 
-/// What the driver needs of a session: [`Session`], or a stand-in that a test controls.
+/// What the driver needs of a session: [`Session`], or a stand-in that a test controls, which says what it does not do by leaving it out.
 pub trait Core: Send + 'static {
     /// See [`Session::handle_frame`].
     ///
@@ -42,22 +42,32 @@ pub trait Core: Send + 'static {
     /// [`SessionError`] ends the session.
     fn poll_transmit(&mut self, now: Timestamp) -> Result<Option<Vec<u8>>, SessionError>;
     /// See [`Session::poll_timeout`].
-    fn poll_timeout(&self) -> Option<Timestamp>;
+    fn poll_timeout(&self) -> Option<Timestamp> {
+        None
+    }
     /// See [`Session::poll_wanted`].
-    fn poll_wanted(&mut self) -> Option<WantedPages>;
+    fn poll_wanted(&mut self) -> Option<WantedPages> {
+        None
+    }
     /// See [`Session::handle_pages`].
     ///
     /// # Errors
     /// [`SessionError`] ends the session.
-    fn handle_pages(&mut self) -> Result<(), SessionError>;
+    fn handle_pages(&mut self) -> Result<(), SessionError> {
+        Ok(())
+    }
     /// See [`Session::rest`].
-    fn rest(&mut self);
+    fn rest(&mut self) {}
     /// See [`Session::offer`].
-    fn offer(&mut self, token: Token);
+    fn offer(&mut self, _token: Token) {}
     /// See [`Session::park`].
-    fn park(&mut self) -> bool;
+    fn park(&mut self) -> bool {
+        false
+    }
     /// See [`Session::stats`].
-    fn stats(&self) -> SessionStats;
+    fn stats(&self) -> SessionStats {
+        SessionStats::default()
+    }
 }
 
 impl Core for Session {
@@ -473,30 +483,6 @@ mod tests {
             self.0.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
             Ok(Some(vec![0]))
         }
-
-        fn poll_timeout(&self) -> Option<Timestamp> {
-            None
-        }
-
-        fn poll_wanted(&mut self) -> Option<WantedPages> {
-            None
-        }
-
-        fn handle_pages(&mut self) -> Result<(), SessionError> {
-            Ok(())
-        }
-
-        fn rest(&mut self) {}
-
-        fn offer(&mut self, _: Token) {}
-
-        fn park(&mut self) -> bool {
-            false
-        }
-
-        fn stats(&self) -> SessionStats {
-            SessionStats::default()
-        }
     }
 
     #[tokio::test]
@@ -572,22 +558,6 @@ mod tests {
 
         fn poll_timeout(&self) -> Option<Timestamp> {
             self.wake
-        }
-
-        fn poll_wanted(&mut self) -> Option<WantedPages> {
-            None
-        }
-
-        fn handle_pages(&mut self) -> Result<(), SessionError> {
-            Ok(())
-        }
-
-        fn rest(&mut self) {}
-
-        fn offer(&mut self, _: Token) {}
-
-        fn park(&mut self) -> bool {
-            false
         }
 
         fn stats(&self) -> SessionStats {

@@ -1,7 +1,7 @@
 use lodestream_protocol::time::Timestamp;
 
 use super::*;
-use crate::session::{SessionError, SessionStats, WantedPages};
+use crate::session::{SessionError, SessionStats};
 
 const MINUTE: Duration = Duration::from_secs(60);
 
@@ -16,22 +16,6 @@ impl Core for Dummy {
     fn poll_transmit(&mut self, _: Timestamp) -> Result<Option<Vec<u8>>, SessionError> {
         Ok(None)
     }
-
-    fn poll_timeout(&self) -> Option<Timestamp> {
-        None
-    }
-
-    fn poll_wanted(&mut self) -> Option<WantedPages> {
-        None
-    }
-
-    fn handle_pages(&mut self) -> Result<(), SessionError> {
-        Ok(())
-    }
-
-    fn rest(&mut self) {}
-
-    fn offer(&mut self, _: Token) {}
 
     fn park(&mut self) -> bool {
         true

@@ -173,8 +173,8 @@ impl Together {
         let pixels = size.pixels * scorer.silhouette_factor();
         let hidden = probe.stays_hidden();
         // Of the reasons to stay out that which will hold for longer.
-        let is_long = !(hidden < size.least_depth - pixels / f64::from(threshold));
-        if hidden > 0.0 && is_long {
+        let small = size.least_depth - pixels / f64::from(threshold);
+        if hidden > 0.0 && (small.is_nan() || hidden >= small) {
             self.appears = self.appears.min(hidden);
         } else {
             (self.small, self.least_depth) = (self.small.max(pixels), self.least_depth.min(size.least_depth));

@@ -256,8 +256,7 @@ impl Step {
         let distance = to_center.length();
         // Directions from the eye, wherever on its way, to the ball are within this angle of that to its centre.
         let sine = (radius + way) / distance;
-        // NaN, too.
-        if !(sine < 1.0) {
+        if sine.is_nan() || sine >= 1.0 {
             return [-way, way];
         }
         let cosine = (1.0 - sine * sine).sqrt();
