@@ -6,6 +6,7 @@ mod meshes;
 
 use bytemuck::Zeroable;
 use lodestream_client::render::buffers::MeshBuffers;
+use lodestream_client::render::morph::GpuMorph;
 use lodestream_client::render::readback::read_buffer;
 use lodestream_client::render::upload::{
     self, Allowance, GpuVertex, UploadPlan, gpu_faces, gpu_vertices, planned_bytes,
@@ -137,7 +138,13 @@ fn uploads_stay_within_the_allowance() {
             }
             let slots = replica.slot_end();
             let plan = upload::plan(&mut replica, slots);
-            assert_eq!(plan.bytes(), planned, "what was foreseen is what is written");
+            let touched: u32 = plan.vertices.iter().map(|range| range.end - range.start).sum();
+            let states = u64::from(touched) * size_of::<GpuMorph>() as u64;
+            assert_eq!(
+                plan.bytes() + states,
+                planned,
+                "what was foreseen is what is written, and a state for each vertex"
+            );
             assert!(planned <= 200_000, "seed {seed}: image {images} uploads {planned}");
             images += 1;
             fullest = fullest.max(planned);
