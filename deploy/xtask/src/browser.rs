@@ -35,6 +35,13 @@ pub(super) fn build(modules: Modules) -> Result<()> {
     run("cargo", &arguments, &[])
 }
 
+/// Builds the decoder of recorded sessions as the viewer is built and returns where the module is.
+pub(super) fn decoder() -> Result<String> {
+    wasm_cargo("build", &["-p", "lodestream-wasm-decoder", "--profile", "browser"])?;
+    let module = target_dir().join("browser/wasm32-unknown-unknown/browser/lodestream_wasm_decoder.wasm");
+    Ok(module.to_str().context("the path of the project is not UTF-8")?.to_owned())
+}
+
 /// Whether npm answers: it starts node.
 pub(super) fn has_node() -> bool {
     let asked = Command::new("npm").arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status();
@@ -64,9 +71,7 @@ pub(super) fn measure(arguments: &[String]) -> Result<()> {
     run("cargo", &["build", "--release", "-p", "lodestream-server", "-p", "lodestream-client"], &[])?;
     let mut arguments = arguments.to_vec();
     if arguments.first().is_some_and(|what| what == "decode") {
-        wasm_cargo("build", &["-p", "lodestream-wasm-decoder", "--profile", "browser"])?;
-        let module = target_dir().join("browser/wasm32-unknown-unknown/browser/lodestream_wasm_decoder.wasm");
-        arguments.extend(["--decoder".into(), module.to_str().context("the path of the project is not UTF-8")?.into()]);
+        arguments.extend(["--decoder".into(), decoder()?]);
     }
     let folder = root().join("tests/browser");
     let name = folder.to_str().context("the path of the project is not UTF-8")?;

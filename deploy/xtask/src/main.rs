@@ -136,15 +136,15 @@ fn test() -> Result<()> {
     run("cargo", &["test", "--workspace"], &[])?;
     run("cargo", &["doc", "--workspace", "--no-deps", "--quiet"], &[("RUSTDOCFLAGS", "-D warnings")])?;
     if wasm_toolchain() {
-        wasm_check()?;
         browser::build(browser::Modules::WebGpu)?;
+        wasm_twin()?;
         if browser::can_test() {
             browser::test()?;
         }
     }
-    fuzz("20")?;
+    built("fuzz", &["--seconds", "20"])?;
     // In the profile of the tests: its checks of arithmetic are worth the time.
-    run("cargo", &["run", "--quiet", "-p", "lodestream-tests", "--bin", "soak", "--", "10000000"], &[])?;
+    built("soak", &["10000000"])?;
     println!("\nall passed in {:.0} s", start.elapsed().as_secs_f64());
     if !missing.is_empty() {
         println!("not tested, for want of tools (`cargo xtask setup` installs them on Debian):");
@@ -185,14 +185,17 @@ fn rustup_wasm_sysroot() -> bool {
     })
 }
 
-/// Checks that the shared code builds for the browser, and that what it decodes there is what it decodes here.
-fn wasm_check() -> Result<()> {
-    let packages = ["-p", "lodestream-protocol", "-p", "lodestream-client", "--no-default-features"];
-    wasm_cargo("check", &packages)?;
-    wasm_cargo("build", &["-p", "lodestream-wasm-decoder", "--release"])?;
-    let module = target_dir().join("browser/wasm32-unknown-unknown/release/lodestream_wasm_decoder.wasm");
-    let module = module.to_str().context("the path of the project is not UTF-8")?;
-    run("cargo", &["run", "--quiet", "-p", "lodestream-tests", "--bin", "wasm_twin", "--", module], &[])
+/// Checks that what the shared code decodes as built for browsers is what it decodes here.
+fn wasm_twin() -> Result<()> {
+    let module = browser::decoder()?;
+    built("wasm_twin", &[&module])
+}
+
+/// Runs a program that was built with the whole workspace: asked for by itself, cargo would build what it needs once more, with
+/// fewer features.
+fn built(name: &str, args: &[&str]) -> Result<()> {
+    let program = target_dir().join("debug").join(name);
+    run(program.to_str().context("the path of the project is not UTF-8")?, args, &[])
 }
 
 fn wasm_cargo(command: &str, arguments: &[&str]) -> Result<()> {
