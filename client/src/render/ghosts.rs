@@ -30,10 +30,10 @@ pub(super) struct GhostCorner {
     rate_per_s: f32,
 }
 
-/// Bytes of a corner.
 /// Most bytes of ghosts that are uploaded for one image.
 pub const MOST_GHOST_BYTES: u64 = 3 * MAX_GHOSTS as u64 * GHOST_CORNER_BYTES;
 
+/// Bytes of a corner.
 pub(super) const GHOST_CORNER_BYTES: u64 = size_of::<GhostCorner>() as u64;
 
 /// All ghosts of one replica.
