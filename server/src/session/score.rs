@@ -4,8 +4,7 @@ use glam::DVec3;
 use lodestream_protocol::message::ModelInfo;
 use lodestream_protocol::view::{Plane, Projection, View};
 
-use super::front::{FACING_SHARE, FRUSTUM_SHARE};
-use crate::pack::record::{Bounds, Cone};
+use crate::pack::record::{Bounds, WideCone};
 
 /// A view in lattice coordinates, ready to judge visibility spheres.
 ///
@@ -25,6 +24,8 @@ pub struct Scorer {
     corner_cosine: f64,
     /// Viewing direction of parallel rays.
     parallel: Option<DVec3>,
+    /// The model's extent.
+    parallel_length: f64,
     culls_facing_away: bool,
     silhouette_factor: f64,
     measure: Measure,
@@ -92,6 +93,11 @@ impl Scorer {
         self.parallel.is_some()
     }
 
+    /// By how much directions of parallel rays count beside lengths.
+    pub(super) fn parallel_length(&self) -> f64 {
+        self.parallel_length
+    }
+
     /// The eye, in lattice steps.
     pub(super) fn eye(&self) -> DVec3 {
         self.eye
@@ -132,6 +138,7 @@ impl Scorer {
             forward,
             corner_cosine,
             parallel,
+            parallel_length: model_box[0].distance(model_box[1]),
             culls_facing_away: !(view.two_sided || model.is_open),
             silhouette_factor: f64::from(view.silhouette_factor),
             measure: if view.complete { Measure::Volume } else { Measure::Pixels },
@@ -152,6 +159,7 @@ impl Scorer {
             forward: DVec3::NEG_Z,
             corner_cosine: 1.0,
             parallel: None,
+            parallel_length: 0.0,
             culls_facing_away: false,
             silhouette_factor: 1.0,
             measure: Measure::Error,
@@ -198,15 +206,17 @@ impl Scorer {
     pub(super) fn probe(&self, bounds: &Bounds) -> Probe {
         let center = DVec3::new(f64::from(bounds.center[0]), f64::from(bounds.center[1]), f64::from(bounds.center[2]));
         let radius = f64::from(bounds.radius.decode());
-        let mut inside = f64::INFINITY;
-        for plane in &self.planes {
-            inside = inside.min(plane.normal.dot(center) + plane.offset);
+        let (mut inside, mut next_inside, mut plane) = (f64::INFINITY, f64::INFINITY, 0);
+        for (number, border) in self.planes.iter().enumerate() {
+            let distance = border.normal.dot(center) + border.offset + radius;
+            (plane, next_inside) =
+                if distance < inside { (number, inside) } else { (plane, next_inside.min(distance)) };
+            inside = inside.min(distance);
         }
-        inside += radius;
         let to_center = center - self.eye;
         let distance = to_center.length();
-        let (facing, away) = self.facing(&bounds.cone, to_center, distance, radius);
-        let away = if self.culls_facing_away { away } else { f64::NEG_INFINITY };
+        let cone = bounds.cone.wide();
+        let facing = self.facing(cone.as_ref(), to_center, distance, radius);
         let error = f64::from(bounds.error.decode()) * self.pixel_scale;
         // Size on screen goes by depth, not distance: of two lower bounds on the depth of what is in the frustum and in
         // the sphere, the first serves near the axis, the other for large spheres beside it. Both grow as spheres shrink.
@@ -222,10 +232,18 @@ impl Scorer {
             pixels *= self.silhouette_factor;
         }
         let depth_moves = self.parallel.is_none();
+        let (ray, reach) = match self.parallel {
+            None => (to_center, radius),
+            Some(direction) => (direction * self.parallel_length, 0.0),
+        };
         Probe {
             inside,
+            plane: plane as u8,
+            next_inside,
             is_away: facing == Facing::Away && self.culls_facing_away,
-            away,
+            cone: cone.filter(|_| self.culls_facing_away),
+            ray,
+            reach,
             error,
             depth,
             depth_moves,
@@ -263,36 +281,27 @@ impl Scorer {
         if self.measure == Measure::Pixels { priority } else { bounds.error.decode() }
     }
 
-    /// Which way the cone's directions face from everywhere in the sphere, and how far the eye has to move before that may
-    /// begin to be (negative) or cease to be (positive) [`Facing::Away`].
+    /// Which way the cone's directions face from everywhere in the sphere.
     #[inline]
-    fn facing(&self, cone: &Cone, to_center: DVec3, distance: f64, radius: f64) -> (Facing, f64) {
-        let Some((axis, sin, cos)) = cone.decode() else { return (Facing::Both, f64::NEG_INFINITY) };
+    fn facing(&self, cone: Option<&WideCone>, to_center: DVec3, distance: f64, radius: f64) -> Facing {
+        let Some(&WideCone { axis, sin, cos }) = cone else { return Facing::Both };
         // Angle by which the direction to a point of the sphere may differ from the direction to its centre.
         let (direction, sin_extent) = match self.parallel {
             Some(direction) => (direction, 0.0),
-            None if distance <= radius => return (Facing::Both, distance - radius),
+            None if distance <= radius => return Facing::Both,
             None => (to_center / distance, radius / distance),
         };
         let cos_extent = (1.0 - sin_extent * sin_extent).max(0.0).sqrt();
-        let (sin, cos) = (f64::from(sin), f64::from(cos));
         // All normals and directions differ from the two axes by at most the sum of both angles.
         let cos_sum = cos * cos_extent - sin * sin_extent;
         let sin_sum = sin * cos_extent + cos * sin_extent;
-        let along = direction.dot(axis.as_dvec3());
-        let facing = match along {
+        let along = direction.dot(axis);
+        match along {
             _ if cos_sum <= 0.0 => Facing::Both,
             _ if along > sin_sum => Facing::Away,
             _ if along < -sin_sum => Facing::Toward,
             _ => Facing::Both,
-        };
-        // The angle from what faces away least to a right angle; a point of the sphere turns by no more than the motion over
-        // its distance, as a sine.
-        let across = (1.0 - along * along).max(0.0).sqrt();
-        let (sin_margin, cos_margin) = (cos_sum * along - sin_sum * across, sin_sum * along + cos_sum * across);
-        // Beyond a right angle it can only be on the other side: nothing faces away by more than that.
-        let sine = if cos_margin >= 0.0 { sin_margin } else { -1.0 };
-        (facing, sine * (distance - radius).max(0.0))
+        }
     }
 }
 
@@ -301,10 +310,17 @@ impl Scorer {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Probe {
     /// How far inside the frustum the sphere reaches, negative outside.
-    inside: f64,
+    pub(super) inside: f64,
+    /// The plane that says so, and the same by the next of the others.
+    pub(super) plane: u8,
+    pub(super) next_inside: f64,
     is_away: bool,
-    /// How far it is to or (positive) from facing away.
-    away: f64,
+    /// Its normals, if it may face away.
+    pub(super) cone: Option<WideCone>,
+    /// From the eye to its centre; of parallel rays their direction, as long as the model.
+    ray: DVec3,
+    /// Its radius; none for parallel rays.
+    reach: f64,
     /// Pixels at depth 1, without the silhouette factor.
     error: f64,
     depth: f64,
@@ -341,17 +357,26 @@ impl Probe {
         Size { pixels: self.error, least_depth: depth - rounding, most_depth: depth + rounding }
     }
 
-    /// For which change it stays in sight, being so now; not positive if it is not.
+    /// Share of what is compared that may be rounding.
     #[inline]
-    pub(super) fn stays_in_sight(&self) -> f64 {
-        (FRUSTUM_SHARE * self.inside).min(-FACING_SHARE * self.away) - ROUNDING * self.distance
+    pub(super) fn rounding(&self) -> f64 {
+        ROUNDING * (self.distance + self.ray.length())
     }
 
-    /// For which change it stays out of sight; not positive if it is in sight now.
+    /// How far it is to or (positive) from facing away: the least of `ray . n - reach` over the normals n of its cone (Southern 2001, section
+    /// 5.1.1, as a condition on the eye that is linear for each normal), and the normal for which it is least. None if it never faces away.
     #[inline]
-    pub(super) fn stays_hidden(&self) -> f64 {
-        let hidden = if self.is_out() { (-FRUSTUM_SHARE * self.inside).max(FACING_SHARE * self.away) } else { 0.0 };
-        hidden - ROUNDING * self.distance
+    pub(super) fn away(&self) -> Option<(f64, DVec3)> {
+        let WideCone { axis, sin, cos } = self.cone?;
+        let along = self.ray.dot(axis);
+        let across = self.ray - along * axis;
+        let far = across.length();
+        if far * cos + along * sin < 0.0 {
+            // The cone holds the direction to the eye.
+            return Some((-self.ray.length() - self.reach, -self.ray));
+        }
+        let sideways = if far > 0.0 { across / far } else { axis.any_orthonormal_vector() };
+        Some((along * cos - far * sin - self.reach, axis * cos - sideways * sin))
     }
 }
 

@@ -5,7 +5,7 @@
 //!   children may cease to be, and only their unwanted children may begin to;
 //! - their closure under parents, by counting for each op the members that have it as a parent;
 //! - for each wanted op a row: bounds of the sizes and depths that these answers rest on, which hold as the camera moves ([`motion`]). An
-//!   update looks at the rows that are due, found by a scan of 20 bytes a row.
+//!   update looks at the rows that are due, found by a scan of 28 bytes a row.
 //!
 //! The threshold is the tolerance as long as the closure fits the triangle limit. Where it does not, the threshold stays where the closure
 //! takes 96 to 100 % of the limit while the camera moves ([`Effort::Moving`]); else 98.5 to 100 %, and the rest is filled best-first, in the order
@@ -23,9 +23,8 @@ use glam::{DQuat, DVec3};
 use lodestream_protocol::view::View;
 
 pub(super) use self::fill::Closure;
-pub(super) use self::motion::{FACING_SHARE, FRUSTUM_SHARE};
-use self::motion::{Motion, Wait};
-use self::rows::{Due, FILLS, Half, Rows, TOUCHED, WANTED, WAS_MEMBER};
+use self::motion::{Motion, SumAt, bin_of};
+use self::rows::{Due, FILLS, Half, Rows, TOUCHED, TurnsAt, WANTED, WAS_MEMBER};
 use super::score::{Probe, Scorer};
 use super::select::PageAccess;
 use crate::pack::record::NO_OP;
@@ -149,8 +148,13 @@ struct Together {
     small: f64,
     most_depth: f64,
     large: f64,
-    appears: f64,
-    vanishes: f64,
+    /// The least slack of what is out of sight, and by what it waits.
+    appears: Option<(f64, SumAt)>,
+    leaves: f64,
+    leaves_else: f64,
+    plane: u8,
+    turns: f64,
+    bin: u8,
 }
 
 impl Together {
@@ -161,8 +165,12 @@ impl Together {
         small: 0.0,
         most_depth: 0.0,
         large: f64::INFINITY,
-        appears: f64::INFINITY,
-        vanishes: f64::INFINITY,
+        appears: None,
+        leaves: f64::INFINITY,
+        leaves_else: f64::INFINITY,
+        plane: 0,
+        turns: f64::INFINITY,
+        bin: 0,
     };
 
     /// The op stays out.
@@ -171,14 +179,24 @@ impl Together {
         (self.low, self.high) = (self.low.min(probe.center), self.high.max(probe.center));
         let size = probe.size();
         let pixels = size.pixels * scorer.silhouette_factor();
-        let hidden = probe.stays_hidden();
         // Of the reasons to stay out that which will hold for longer.
         let small = size.least_depth - pixels / f64::from(threshold);
-        if hidden > 0.0 && (small.is_nan() || hidden >= small) {
-            self.appears = self.appears.min(hidden);
-        } else {
-            (self.small, self.least_depth) = (self.small.max(pixels), self.least_depth.min(size.least_depth));
+        if probe.is_out() {
+            let away = probe.away().map_or(f64::NEG_INFINITY, |(away, _)| away);
+            let hidden = away.max(-probe.inside) - probe.rounding();
+            if hidden > 0.0 && (small.is_nan() || hidden >= small) {
+                let at = match &probe.cone {
+                    Some(cone) if away >= -probe.inside => SumAt::along(cone),
+                    _ => SumAt::inward(probe.plane),
+                };
+                self.appears = Some(match self.appears {
+                    None => (hidden, at),
+                    Some((slack, before)) => (slack.min(hidden), before.or(at)),
+                });
+                return;
+            }
         }
+        (self.small, self.least_depth) = (self.small.max(pixels), self.least_depth.min(size.least_depth));
     }
 
     /// The op stays wanted.
@@ -187,7 +205,12 @@ impl Together {
         (self.low, self.high) = (self.low.min(probe.center), self.high.max(probe.center));
         let size = probe.size();
         (self.large, self.most_depth) = (size.pixels, size.most_depth);
-        self.vanishes = probe.stays_in_sight();
+        let rounding = probe.rounding();
+        (self.plane, self.leaves, self.leaves_else) =
+            (probe.plane, probe.inside - rounding, probe.next_inside - rounding);
+        if let Some((away, normal)) = probe.away() {
+            (self.turns, self.bin) = (-away - rounding, bin_of(normal));
+        }
     }
 
     /// When the row is due, and its cell.
@@ -199,19 +222,28 @@ impl Together {
         // What lies outside may move farther than the box: it is tested each time.
         let found = motion.cell(self.low, self.high);
         let cell = found.unwrap_or(0);
+        let sums = motion.sums();
+        let (appears, appears_at) = self.appears.unwrap_or((f64::INFINITY, SumAt::ANY_INWARD));
         let due = Due {
             least_depth: if self.small > 0.0 { motion.least(cell, self.least_depth) } else { 1.0 },
             most_depth: motion.most(cell, self.most_depth),
             small: if self.small > 0.0 { Half::above(up(self.small)) } else { Half::ZERO },
             large: Half::below(down(self.large)),
-            appears: match found {
-                Some(cell) => Half::below(motion.due(cell, Wait::Appearing, self.appears)),
-                None => Half::below(f32::NEG_INFINITY),
-            },
-            vanishes: Half::below(motion.due(cell, Wait::Vanishing, self.vanishes)),
+            appears: if found.is_some() { after(sums.at(cell, appears_at), appears) } else { Half::NEGATIVE },
+            appears_at,
+            leaves: after(sums.outward(cell, self.plane), self.leaves),
+            leaves_else: after(sums.any_outward(cell), self.leaves_else),
+            turns: after(sums.against(self.bin), self.turns),
+            turns_at: TurnsAt { plane: self.plane, bin: self.bin },
         };
         (due, cell)
     }
+}
+
+/// The value of a sum at which an answer is due that holds for a change of `slack`.
+#[inline]
+fn after(sum: f32, slack: f64) -> Half {
+    if slack > 0.0 { Half::below(down(f64::from(sum) + slack)) } else { Half::NEGATIVE }
 }
 
 impl Front {
@@ -311,10 +343,10 @@ impl Front {
             });
             self.spawns.iter_mut().for_each(|spawn| spawn.due = Due::NOW);
         }
-        if let Some(sums) = self.motion.go_on(context.scorer, view.rotation()) {
+        if let Some(sums) = self.motion.go_on(context.scorer) {
             let dues = self.rows.dues.iter_mut().zip(&self.rows.states).map(|(due, state)| (due, state.cell));
             let spawns = self.spawns.iter_mut().map(|spawn| (&mut spawn.due, spawn.cell));
-            dues.chain(spawns).for_each(|(due, cell)| due.rebase(&sums[usize::from(cell)]));
+            dues.chain(spawns).for_each(|(due, cell)| due.rebase(&sums, cell));
         }
         self.drop_fills();
     }
@@ -407,7 +439,7 @@ impl Front {
         self.work.clear();
         let sums = self.motion.sums();
         for ((due, state), &op) in self.rows.dues.iter().zip(&self.rows.states).zip(&self.rows.ops) {
-            if due.is_now(&sums[usize::from(state.cell)], threshold, near) {
+            if due.is_now(sums, state.cell, threshold, near) {
                 self.work.push(op);
             }
         }
@@ -427,7 +459,7 @@ impl Front {
         self.see_spawns(context, threshold)?;
         for op in 0..self.spawns.len() as u32 {
             let SpawnRow { due, cell } = self.spawns[op as usize];
-            let is_due = due.is_now(&self.motion.sums()[usize::from(cell)], threshold, near);
+            let is_due = due.is_now(self.motion.sums(), cell, threshold, near);
             if is_due && self.look_at_spawn(context, op)? {
                 self.work.push(op);
             }
@@ -636,14 +668,14 @@ impl Front {
     /// Not less than the priority of any op that hangs on a row and is not wanted.
     #[inline]
     fn most_below(&self, row: usize, near: f32) -> f32 {
-        self.rows.dues[row].most_priority(&self.motion.sums()[usize::from(self.rows.states[row].cell)], near)
+        self.rows.dues[row].most_priority(self.motion.sums(), self.rows.states[row].cell, near)
     }
 
     /// Likewise of a spawn that is not wanted.
     #[inline]
     fn most_of_spawn_row(&self, spawn: u32, near: f32) -> f32 {
         let SpawnRow { due, cell } = &self.spawns[spawn as usize];
-        due.most_priority(&self.motion.sums()[usize::from(*cell)], near)
+        due.most_priority(self.motion.sums(), *cell, near)
     }
 
     /// Largest priority of an op that is not wanted, where no limit binds.

@@ -1,6 +1,6 @@
 //! One row for each op that a front holds, found by a hash of its id and scanned as plain arrays.
 
-use super::motion::{Sums, Wait};
+use super::motion::{SumAt, Sums};
 use crate::pack::record::NO_OP;
 
 /// The op is wanted for its own sake.
@@ -35,21 +35,34 @@ impl State {
     }
 }
 
-/// When a row has to be looked at again: bounds of what is seen now, by the sums of its cell (see [`Motion`](super::motion::Motion)).
+/// When a row has to be looked at again: bounds of what is seen now, by sums of [`Motion`](super::motion::Motion).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Due {
-    /// Less the sum, the ops that are in sight but stay out for being small are at least that deep.
+    /// Less the cell's sum, the ops that are in sight but stay out for being small are at least that deep.
     pub(super) least_depth: f32,
-    /// With the sum, the op itself is at most that deep.
+    /// With the cell's sum, the op itself is at most that deep.
     pub(super) most_depth: f32,
     /// Pixels at depth 1 of the largest of those that stay out, at most.
     pub(super) small: Half,
     /// Pixels at depth 1 of the op itself, at least.
     pub(super) large: Half,
-    /// Sum at which what stays out for being out of sight may appear.
+    /// Value at which what stays out for being out of sight may appear, of the sum that `appears_at` names.
     pub(super) appears: Half,
-    /// Sum at which the op itself may go out of sight.
-    pub(super) vanishes: Half,
+    pub(super) appears_at: SumAt,
+    /// Value at which the op itself may go out over the plane next to it, which `turns_at` names,
+    pub(super) leaves: Half,
+    /// over any other,
+    pub(super) leaves_else: Half,
+    /// and at which it may begin to face away, of the sum that `turns_at` names.
+    pub(super) turns: Half,
+    pub(super) turns_at: TurnsAt,
+}
+
+/// A plane of the view and a bin of directions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct TurnsAt {
+    pub(super) plane: u8,
+    pub(super) bin: u8,
 }
 
 impl Due {
@@ -60,43 +73,55 @@ impl Due {
         small: Half::ZERO,
         large: Half::INFINITY,
         appears: Half::INFINITY,
-        vanishes: Half::INFINITY,
+        appears_at: SumAt::ANY_INWARD,
+        leaves: Half::INFINITY,
+        leaves_else: Half::INFINITY,
+        turns: Half::INFINITY,
+        turns_at: TurnsAt { plane: 0, bin: 0 },
     };
     /// At the next update; what stays out may be of any size.
     pub(super) const NOW: Self = Self { small: Half::INFINITY, ..Self::NEVER };
 
-    /// Whether that is now, at a threshold and in a cell with these sums. Depths count as at least `near`, which
-    /// is rounded down.
+    /// Whether that is now, at a threshold and in a cell. Depths count as at least `near`, which is rounded down.
     #[inline]
-    pub(super) fn is_now(&self, sums: &Sums, threshold: f32, near: f32) -> bool {
-        let least = (self.least_depth - sums[Wait::Nearer as usize]).max(near);
-        let most = (self.most_depth + sums[Wait::Farther as usize]).max(near.next_up());
+    pub(super) fn is_now(&self, sums: &Sums, cell: u8, threshold: f32, near: f32) -> bool {
+        let least = (self.least_depth - sums.nearer(cell)).max(near);
+        let most = (self.most_depth + sums.farther(cell)).max(near.next_up());
         // Products that are not numbers, of zero and infinity, are due. Without branches: rows are scanned by the ten thousand.
         let stays_out = least * threshold >= self.small.get();
         let stays_in = most * threshold < self.large.get();
-        let stays_hidden = self.appears.get() > sums[Wait::Appearing as usize];
-        let stays_in_sight = self.vanishes.get() > sums[Wait::Vanishing as usize];
-        !(stays_out & stays_in & stays_hidden & stays_in_sight)
+        let stays_hidden = self.appears.get() > sums.at(cell, self.appears_at);
+        let TurnsAt { plane, bin } = self.turns_at;
+        let stays_inside = self.leaves.get() > sums.outward(cell, plane);
+        let stays_inside_else = self.leaves_else.get() > sums.any_outward(cell);
+        let stays_turned = self.turns.get() > sums.against(bin);
+        !(stays_out & stays_in & stays_hidden & stays_inside & stays_inside_else & stays_turned)
     }
 
     /// Not less than the priority of any op that hangs on the row and stays out.
     #[inline]
-    pub(super) fn most_priority(&self, sums: &Sums, near: f32) -> f32 {
+    pub(super) fn most_priority(&self, sums: &Sums, cell: u8, near: f32) -> f32 {
         let small = self.small.get();
         if small == 0.0 {
             return 0.0;
         }
         // Rounded, and by one more for that of the product that was compared.
-        let most = small / (self.least_depth - sums[Wait::Nearer as usize]).max(near) * (1.0 + 4.0 * f32::EPSILON);
+        let most = small / (self.least_depth - sums.nearer(cell)).max(near) * (1.0 + 4.0 * f32::EPSILON);
         if most.is_nan() { f32::INFINITY } else { most }
     }
 
-    /// The sums of the row's cell begin at zero again.
-    pub(super) fn rebase(&mut self, sums: &Sums) {
-        self.least_depth = (self.least_depth - sums[Wait::Nearer as usize]).next_down();
-        self.most_depth = (self.most_depth + sums[Wait::Farther as usize]).next_up();
-        for (due, wait) in [(&mut self.appears, Wait::Appearing), (&mut self.vanishes, Wait::Vanishing)] {
-            *due = Half::below((due.get() - sums[wait as usize]).next_down());
+    /// The sums begin at zero again.
+    pub(super) fn rebase(&mut self, sums: &Sums, cell: u8) {
+        self.least_depth = (self.least_depth - sums.nearer(cell)).next_down();
+        self.most_depth = (self.most_depth + sums.farther(cell)).next_up();
+        let TurnsAt { plane, bin } = self.turns_at;
+        for (due, sum) in [
+            (&mut self.appears, sums.at(cell, self.appears_at)),
+            (&mut self.leaves, sums.outward(cell, plane)),
+            (&mut self.leaves_else, sums.any_outward(cell)),
+            (&mut self.turns, sums.against(bin)),
+        ] {
+            *due = Half::below((due.get() - sum).next_down());
         }
     }
 }
@@ -108,11 +133,13 @@ pub(super) struct Half(u16);
 impl Half {
     pub(super) const ZERO: Self = Self(0);
     pub(super) const INFINITY: Self = Self(0x7f80);
+    /// Below all others.
+    pub(super) const NEGATIVE: Self = Self(0xff80);
 
     /// The largest one not above a number; one far below what is not positive.
     #[inline]
     pub(super) fn below(number: f32) -> Self {
-        if number > 0.0 { Self((number.to_bits() >> 16) as u16) } else { Self(0xff80) }
+        if number > 0.0 { Self((number.to_bits() >> 16) as u16) } else { Self::NEGATIVE }
     }
 
     /// The least one not below a number that is not negative.
@@ -129,7 +156,7 @@ impl Half {
 
 const EMPTY: u32 = u32::MAX;
 
-/// The rows, in no order: 24 bytes each, and 4 to 12 of the index (open addressing, at most two thirds full).
+/// The rows, in no order: 32 bytes each, and 6 to 12 of the index (open addressing, at most two thirds full).
 #[derive(Debug, Default)]
 pub(super) struct Rows {
     pub(super) ops: Vec<u32>,
