@@ -459,13 +459,14 @@ impl PackedModel {
         })
     }
 
-    /// Forest parent of a split, or [`NO_OP`].
+    /// Forest parent of a split, or [`NO_OP`], and what `s` is to it: where that is a split, the vertex that it kept (0) or inserted (1), else the
+    /// number of a root vertex.
     ///
     /// # Errors
     /// See [`PackedModel::bounds`].
-    pub fn tree_parent_of(&self, split: u32) -> Result<u32, PackError> {
+    pub fn tree_parent_of(&self, split: u32) -> Result<(u32, u32), PackError> {
         let (view, row) = self.split_row(split)?;
-        Ok(self.tree_parent(view, row)?.0)
+        self.tree_parent(view, row)
     }
 
     /// Owners of the three references of a split without repeats: tree parent, left, right. Spawns count as ops.

@@ -24,7 +24,7 @@ use lodestream_protocol::view::View;
 
 pub(super) use self::fill::Closure;
 use self::motion::{Motion, SumAt, bin_of};
-use self::rows::{Due, FILLS, Half, Rows, TOUCHED, TurnsAt, WANTED, WAS_MEMBER};
+use self::rows::{CHILD_IS_WANTED, Due, FILLS, Half, Rows, TOUCHED, TurnsAt, WANTED, WAS_MEMBER};
 use super::score::{Probe, Scorer};
 use super::select::PageAccess;
 use crate::pack::record::NO_OP;
@@ -92,7 +92,8 @@ pub(crate) struct Front {
     fills: Vec<u32>,
     touched: Vec<u32>,
     // Work space.
-    work: Vec<u32>,
+    /// Rows to look at with their ops above them: rows stay where they are during an update.
+    work: Vec<u64>,
     stack: Vec<u32>,
     closure: Closure,
 }
@@ -262,7 +263,7 @@ impl Front {
     }
 
     pub(crate) fn heap_bytes(&self) -> usize {
-        let lists = self.fills.capacity() + self.touched.capacity() + self.work.capacity() + self.stack.capacity();
+        let lists = self.fills.capacity() + self.touched.capacity() + 2 * self.work.capacity() + self.stack.capacity();
         self.rows.heap_bytes() + self.spawns.capacity() * size_of::<SpawnRow>() + lists * 4
     }
 
@@ -438,21 +439,21 @@ impl Front {
         let (threshold, near) = (self.threshold, down(context.scorer.near()));
         self.work.clear();
         let sums = self.motion.sums();
-        for ((due, state), &op) in self.rows.dues.iter().zip(&self.rows.states).zip(&self.rows.ops) {
+        for (row, (due, state)) in self.rows.dues.iter().zip(&self.rows.states).enumerate() {
             if due.is_now(sums, state.cell, threshold, near) {
-                self.work.push(op);
+                self.work.push(u64::from(self.rows.ops[row]) << 32 | row as u64);
             }
         }
         // Ops of a page together.
-        self.work.sort_unstable_by_key(|&op| std::cmp::Reverse(op));
+        self.work.sort_unstable_by_key(|&entry| std::cmp::Reverse(entry));
         for &op in context.model.base_first_splits() {
             if op == NO_OP || self.rows.state(op).flags & WANTED != 0 {
                 continue;
             }
             if context.pages.has(PackedModel::page_of(op), f32::MAX) {
                 let priority = context.scorer.priority(&context.model.bounds(op)?);
-                if priority > threshold && self.want(context, op, priority)? {
-                    self.work.push(op);
+                if priority > threshold {
+                    self.want(context, op, priority)?;
                 }
             }
         }
@@ -460,20 +461,18 @@ impl Front {
         for op in 0..self.spawns.len() as u32 {
             let SpawnRow { due, cell } = self.spawns[op as usize];
             let is_due = due.is_now(self.motion.sums(), cell, threshold, near);
-            if is_due && self.look_at_spawn(context, op)? {
-                self.work.push(op);
+            if is_due {
+                self.look_at_spawn(context, op)?;
             }
         }
         // It may have been over the limit before: then it shrinks.
         let ceiling = context.limit.saturating_add(context.limit / OVERSHOOT).max(self.triangles);
-        while let Some(op) = self.work.pop() {
-            self.look_at(context, op)?;
+        while let Some(entry) = self.work.pop() {
+            self.look_at(context, (entry >> 32) as u32, entry as u32 as usize)?;
             if self.triangles > ceiling {
                 // The threshold is going to be raised: what is left is looked at then.
-                for op in self.work.drain(..) {
-                    if let Some(row) = self.rows.find(op) {
-                        self.rows.dues[row] = Due::NOW;
-                    }
+                for entry in self.work.drain(..) {
+                    self.rows.dues[entry as u32 as usize] = Due::NOW;
                 }
             }
         }
@@ -510,30 +509,29 @@ impl Front {
         Ok(())
     }
 
-    /// Whether a spawn becomes wanted now.
-    fn look_at_spawn(&mut self, context: &mut Context<'_>, op: u32) -> Result<bool, PackError> {
+    /// Looks whether a spawn becomes wanted.
+    fn look_at_spawn(&mut self, context: &mut Context<'_>, op: u32) -> Result<(), PackError> {
         context.tested += 1;
         if self.rows.state(op).flags & WANTED != 0 {
             self.spawns[op as usize].due = Due::NEVER;
-            return Ok(false);
+            return Ok(());
         }
         let probe = context.scorer.probe(&context.model.bounds(op)?);
         let priority = probe.priority();
         if priority > self.threshold {
             let is_wanted = self.want(context, op, priority)?;
             self.spawns[op as usize].due = if is_wanted { Due::NEVER } else { Due::NOW };
-            return Ok(is_wanted);
+            return Ok(());
         }
         let mut waits = Together::NOTHING;
         waits.stays_out(&probe, self.threshold, context.scorer);
         let (due, cell) = waits.due(&self.motion);
         self.spawns[op as usize] = SpawnRow { due, cell };
-        Ok(false)
+        Ok(())
     }
 
     /// Looks at a wanted op: which of its children are wanted, and if none is, whether it still is itself.
-    fn look_at(&mut self, context: &mut Context<'_>, op: u32) -> Result<(), PackError> {
-        let Some(row) = self.rows.find(op) else { return Ok(()) };
+    fn look_at(&mut self, context: &mut Context<'_>, op: u32, row: usize) -> Result<(), PackError> {
         if self.rows.states[row].flags & WANTED == 0 {
             self.rows.dues[row] = Due::NEVER;
             return Ok(());
@@ -543,11 +541,16 @@ impl Front {
         let (mut has_wanted_child, mut is_incomplete) = (false, false);
         // What a child on a missing page matters is at most what this op does.
         let mut own = None;
-        for child in Children::of(context.model, op)? {
+        let is_spawn = op < context.model.spawn_count();
+        for (number, child) in Children::of(context.model, op)?.enumerate() {
             if child == NO_OP {
                 continue;
             }
-            if self.rows.state(child).flags & WANTED != 0 {
+            let is_wanted = match is_spawn {
+                true => self.rows.state(child).flags & WANTED != 0,
+                false => self.rows.states[row].flags & CHILD_IS_WANTED[number] != 0,
+            };
+            if is_wanted {
                 has_wanted_child = true;
                 continue;
             }
@@ -564,7 +567,9 @@ impl Front {
                 waits.stays_out(&probe, self.threshold, context.scorer);
             } else if self.want(context, child, priority)? {
                 has_wanted_child = true;
-                self.work.push(child);
+                if !is_spawn {
+                    self.rows.states[row].flags |= CHILD_IS_WANTED[number];
+                }
             } else {
                 is_incomplete = true;
             }
@@ -576,23 +581,17 @@ impl Front {
             };
             let priority = probe.priority();
             if priority <= self.threshold {
-                self.leave(context, op)?;
-                let parent = if op < context.model.spawn_count() { NO_OP } else { context.model.tree_parent_of(op)? };
-                if parent != NO_OP {
-                    self.work.push(parent);
-                }
-                return Ok(());
+                return self.leave(context, op, row);
             }
             waits.stays_in(&probe);
         }
-        let row = self.rows.find(op).expect("rows of members stay");
         let (due, cell) = waits.due(&self.motion);
         self.rows.dues[row] = if is_incomplete { Due::NOW } else { due };
         self.rows.states[row].cell = cell;
         Ok(())
     }
 
-    /// Takes an op in with its closure, unless a page of that is missing.
+    /// Takes an op in with its closure, unless a page of that is missing, and will look at it.
     fn want(&mut self, context: &mut Context<'_>, op: u32, priority: f32) -> Result<bool, PackError> {
         if context.pages.access == PageAccess::ReadAhead {
             let Self { closure, rows, .. } = self;
@@ -606,6 +605,7 @@ impl Front {
         let was_in = state.is_closed_in();
         state.flags |= WANTED;
         self.rows.dues[row] = Due::NOW;
+        self.work.push(u64::from(op) << 32 | row as u64);
         if was_in {
             return Ok(true);
         }
@@ -625,12 +625,23 @@ impl Front {
         Ok(true)
     }
 
-    /// The op is not wanted any more.
-    fn leave(&mut self, context: &mut Context<'_>, op: u32) -> Result<(), PackError> {
+    /// The op is not wanted any more, and its forest parent will be looked at.
+    fn leave(&mut self, context: &mut Context<'_>, op: u32, row: usize) -> Result<(), PackError> {
         if op < context.model.spawn_count() {
             self.spawns[op as usize].due = Due::NOW;
+        } else {
+            let (parent, side) = context.model.tree_parent_of(op)?;
+            // It has a row unless the pack contradicts itself.
+            if parent != NO_OP
+                && let Some(row) = self.rows.find(parent)
+            {
+                if parent >= context.model.spawn_count() {
+                    self.rows.states[row].flags &= !CHILD_IS_WANTED[side as usize];
+                }
+                self.work.push(u64::from(parent) << 32 | row as u64);
+            }
         }
-        let row = self.touch(op);
+        self.note(op, row);
         let state = &mut self.rows.states[row];
         state.flags &= !WANTED;
         let is_in = state.is_closed_in();
@@ -657,12 +668,17 @@ impl Front {
     #[inline]
     fn touch(&mut self, op: u32) -> usize {
         let row = self.rows.ensure(op);
+        self.note(op, row);
+        row
+    }
+
+    #[inline]
+    fn note(&mut self, op: u32, row: usize) {
         let state = &mut self.rows.states[row];
         if state.flags & TOUCHED == 0 {
             state.flags |= if state.is_member() { TOUCHED | WAS_MEMBER } else { TOUCHED };
             self.touched.push(op);
         }
-        row
     }
 
     /// Not less than the priority of any op that hangs on a row and is not wanted.

@@ -12,6 +12,9 @@ pub(super) const TOUCHED: u8 = 4;
 /// The op was a member before this update.
 pub(super) const WAS_MEMBER: u8 = 8;
 
+/// The next split of `s` is wanted, and the first split of `t`. Kept for splits alone: a spawn may have any number of children.
+pub(super) const CHILD_IS_WANTED: [u8; 2] = [16, 32];
+
 /// What keeps an op in the set.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct State {
