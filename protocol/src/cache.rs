@@ -6,7 +6,7 @@
 //! collapses itself are nested in that vertex's entry and come back with it.
 
 use crate::ids::VertexSlot;
-use crate::mesh::{NewVertex, SplitUndo};
+use crate::mesh::{NewVertex, SplitUndo, reserve_an_eighth};
 
 const NONE: u32 = u32::MAX;
 /// Tag of [`Entry::holder`]: the stack hangs from a slot instead of from another entry.
@@ -94,6 +94,14 @@ impl SplitCache {
         }
     }
 
+    /// Makes room for the stack of this slot.
+    fn extend_tops(&mut self, slot: VertexSlot) {
+        if self.tops.len() <= slot.index() {
+            reserve_an_eighth(&mut self.tops, slot.index() + 1);
+            self.tops.resize(slot.index() + 1, NONE);
+        }
+    }
+
     /// Records that the split which made `t` was undone. `t`'s own stack is nested in the new entry. Evicts the oldest
     /// entry when full. O(1).
     pub fn push(&mut self, t: VertexSlot, undo: &SplitUndo) {
@@ -109,9 +117,7 @@ impl SplitCache {
         // The eviction may have taken the bottom of `t`'s own stack, even all of it.
         let nested =
             if nested != NONE && self.entries[nested as usize].holder == AT_SLOT | t.0 { nested } else { NONE };
-        if self.tops.len() <= undo.s.index() {
-            self.tops.resize(undo.s.index() + 1, NONE);
-        }
+        self.extend_tops(undo.s);
         let below = self.tops[undo.s.index()];
         let entry = Entry {
             split: CachedSplit { vertex: undo.vertex, left: undo.left, right: undo.right, cut_known: true },
@@ -129,6 +135,8 @@ impl SplitCache {
                 index
             }
             None => {
+                let len = self.entries.len() + 1;
+                reserve_an_eighth(&mut self.entries, len);
                 self.entries.push(entry);
                 self.entries.len() as u32 - 1
             }
@@ -161,9 +169,7 @@ impl SplitCache {
             self.entries[below as usize].holder = AT_SLOT | s.0;
         }
         if nested != NONE {
-            if self.tops.len() <= t.index() {
-                self.tops.resize(t.index() + 1, NONE);
-            }
+            self.extend_tops(t);
             self.tops[t.index()] = nested;
             self.entries[nested as usize].holder = AT_SLOT | t.0;
             self.entries[nested as usize].is_nested_top = false;
@@ -201,9 +207,7 @@ impl SplitCache {
         for (index, &(label, vertex, holder)) in (0..).zip(splits) {
             let top = match holder {
                 CacheHolder::Slot(slot) => {
-                    if cache.tops.len() <= slot.index() {
-                        cache.tops.resize(slot.index() + 1, NONE);
-                    }
+                    cache.extend_tops(slot);
                     &mut cache.tops[slot.index()]
                 }
                 CacheHolder::Entry(newer) => nested.get_mut(newer as usize).filter(|_| newer > index)?,

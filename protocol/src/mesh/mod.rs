@@ -7,11 +7,13 @@ mod bits;
 mod digest;
 mod dirty;
 mod fan;
+mod growth;
 mod patch;
 mod replica;
 
 pub use bits::SlotSet;
 pub use dirty::{Birth, DirtySlots};
 pub use fan::{Cut, Fan};
+pub use growth::reserve_an_eighth;
 pub use patch::{Patch, PatchError, twins_of};
 pub use replica::{ApplyError, NewVertex, Replica, SplitUndo, TOUCHED_AT_ONCE};

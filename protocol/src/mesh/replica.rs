@@ -10,6 +10,7 @@ use super::bits::SlotSet;
 use super::digest::{face_hash, vertex_hash};
 use super::dirty::DirtySlots;
 use super::fan::{Cut, Fan};
+use super::growth::reserve_an_eighth;
 use super::patch::{HalfEdge, NO_HALF_EDGE, Patch, PatchError};
 use crate::ids::VertexSlot;
 use crate::limits::MAX_VERTEX_SLOTS;
@@ -99,7 +100,7 @@ struct Move {
 
 /// The current mesh. See the module.
 ///
-/// Memory: 84 bytes per slot and a few bits, plus 16 for models whose placement moves vertices.
+/// Memory: 83 bytes per slot and a few bits, plus 16 for models whose placement moves vertices, and at most an eighth more.
 #[derive(Clone, Debug)]
 pub struct Replica {
     // Per vertex slot.
@@ -425,7 +426,7 @@ impl Replica {
         self.shift_vertex(s.0, vertex.s_move, vertex.s_color_move);
         if vertex.s_move != [0; 3] || vertex.s_color_move != [0; 3] || !self.moves.is_empty() {
             if self.moves.len() <= t as usize {
-                self.moves.resize(t as usize + 1, Move::default());
+                extend(&mut self.moves, t as usize + 1, Move::default());
             }
             self.moves[t as usize] = Move { position: vertex.s_move, color: vertex.s_color_move };
         }
@@ -671,15 +672,15 @@ impl Replica {
         self.occupied.insert(slot);
         if slot as usize >= self.position.len() {
             let slots = slot as usize + 1;
-            self.position.resize(slots, [0; 3]);
-            self.color.resize(slots, [0; 3]);
-            self.origin.resize(slots, NONE);
-            self.last_op.resize(slots, NONE);
-            self.prev_op.resize(slots, NONE);
-            self.references.resize(slots, 0);
-            self.some_face.resize(slots, 0);
-            self.corner.resize(2 * slots, NO_FACE);
-            self.twin.resize(2 * slots, [NO_HALF_EDGE; 3]);
+            extend(&mut self.position, slots, [0; 3]);
+            extend(&mut self.color, slots, [0; 3]);
+            extend(&mut self.origin, slots, NONE);
+            extend(&mut self.last_op, slots, NONE);
+            extend(&mut self.prev_op, slots, NONE);
+            extend(&mut self.references, slots, 0);
+            extend(&mut self.some_face, slots, 0);
+            extend(&mut self.corner, 2 * slots, NO_FACE);
+            extend(&mut self.twin, 2 * slots, [NO_HALF_EDGE; 3]);
         }
     }
 
@@ -839,6 +840,13 @@ impl Replica {
             self.drop_reference(owner.0, released);
         }
     }
+}
+
+/// So many elements, the new ones all alike.
+#[inline]
+fn extend<T: Copy>(array: &mut Vec<T>, len: usize, value: T) {
+    reserve_an_eighth(array, len);
+    array.resize(len, value);
 }
 
 /// Face slot of face `j` of a patch in these slots.

@@ -1,13 +1,12 @@
 //! The server's copy of what a client holds, and which op made which slot.
 
 use lodestream_protocol::ids::VertexSlot;
-use lodestream_protocol::limits::MAX_VERTEX_SLOTS;
 use lodestream_protocol::mesh::{Fan, NewVertex, Patch, Replica, SlotSet, TOUCHED_AT_ONCE};
 use lodestream_protocol::op::{BatchEncoder, DecodeError, OpCounts, OpState};
 
+use super::op_index::OpSlots;
 use super::select::OpMap;
 use crate::pack::place::Place;
-use crate::pack::record::NO_OP;
 use crate::pack::{PackError, PackedModel};
 
 /// Why a batch could not be made.
@@ -46,18 +45,10 @@ const MAX_FREED: u32 = 8192;
 #[derive(Debug)]
 pub(crate) struct Mirror {
     pub(super) state: OpState,
-    /// Op whose address a slot is, or `NO_OP`.
-    op_at: Vec<u32>,
-    /// Address of each applied op. While a batch is being made, also the round of each split that is still to come, marked as
-    /// [`PENDING`].
-    slot_of: OpMap<u32>,
+    slots: OpSlots,
     /// Whether the next batch makes both ends forget the cuts in their caches.
     forgets_cuts: bool,
 }
-
-/// Above all addresses.
-const PENDING: u32 = 1 << 31;
-const _: () = assert!(MAX_VERTEX_SLOTS <= PENDING);
 
 impl Mirror {
     pub(crate) fn new(model: &PackedModel, cache_entries: u32) -> Result<Self, PackError> {
@@ -65,14 +56,12 @@ impl Mirror {
         let state = OpState::new(model.base(), info.lattice.bits, info.has_colors, info.has_moves, cache_entries)
             .map_err(|error| PackError::Damaged { section: "base", reason: error.to_string() })?
             .with_step(info.visual_step);
-        Ok(Self { state, op_at: Vec::new(), slot_of: OpMap::default(), forgets_cuts: false })
+        Ok(Self { state, slots: OpSlots::default(), forgets_cuts: false })
     }
 
     /// Takes up the ops of a mesh that was built anew, without what its cache knew about cuts.
-    pub(super) fn take_ops(&mut self, slot_of: OpMap<u32>) {
-        self.op_at = vec![NO_OP; self.replica().slot_end() as usize];
-        slot_of.iter().for_each(|(&op, &slot)| self.op_at[slot as usize] = op);
-        self.slot_of = slot_of;
+    pub(super) fn take_ops(&mut self, slots: OpSlots) {
+        self.slots = slots;
         self.forgets_cuts = true;
     }
 
@@ -80,22 +69,22 @@ impl Mirror {
         self.state.replica()
     }
 
-    /// Applied ops and the slots they are addressed by, in no particular order.
+    /// Applied ops and the slots they are addressed by, ascending by slot.
     pub(crate) fn applied(&self) -> impl Iterator<Item = (u32, u32)> + '_ {
-        self.slot_of.iter().map(|(&op, &slot)| (op, slot))
+        self.slots.iter()
     }
 
     /// Slot that an applied op is addressed by.
     pub(crate) fn slot(&self, op: u32) -> Option<u32> {
-        self.slot_of.get(&op).copied()
+        self.slots.slot(op)
     }
 
     pub(crate) fn is_applied(&self, op: u32) -> bool {
-        self.slot_of.contains_key(&op)
+        self.slots.slot(op).is_some()
     }
 
     pub(crate) fn heap_bytes(&self) -> usize {
-        self.state.heap_bytes() + self.op_at.capacity() * 4 + self.slot_of.capacity() * 9
+        self.state.heap_bytes() + self.slots.heap_bytes()
     }
 
     /// Encodes a batch and applies it. Returns the bytes, what they do, and how many of the plan's ops, counted from the
@@ -105,13 +94,13 @@ impl Mirror {
         model: &PackedModel,
         plan: &mut BatchPlan<'_>,
     ) -> Result<(Vec<u8>, OpCounts, usize), MirrorError> {
-        let Self { state, op_at, slot_of, forgets_cuts } = self;
+        let Self { state, slots, forgets_cuts } = self;
         let triangles = |&op: &u32| model.triangles_of(op);
         let added: Vec<u32> = plan.ops.iter().map(triangles).collect::<Result<_, _>>()?;
         let needed = added.iter().fold(state.replica().triangle_count(), |sum, &n| sum.saturating_add(n));
         let to_free = needed.saturating_sub(plan.limit).min(MAX_FREED);
         let mut encoder = BatchEncoder::new(state, std::mem::take(forgets_cuts));
-        collapse(&mut encoder, plan, to_free, op_at, slot_of)?;
+        collapse(&mut encoder, plan, to_free, slots)?;
         let mut room = plan.limit.saturating_sub(encoder.replica().triangle_count());
         let fitting = added
             .iter()
@@ -122,8 +111,8 @@ impl Mirror {
             })
             .count();
         let ops = &plan.ops[..fitting];
-        spawn(&mut encoder, model, ops, plan.limit, op_at, slot_of)?;
-        split(&mut encoder, model, ops, plan.limit, op_at, slot_of)?;
+        spawn(&mut encoder, model, ops, plan.limit, slots)?;
+        split(&mut encoder, model, ops, plan.limit, slots)?;
         let (bytes, counts) = encoder.finish();
         Ok((bytes, counts, fitting))
     }
@@ -133,8 +122,7 @@ fn collapse(
     encoder: &mut BatchEncoder<'_>,
     plan: &mut BatchPlan<'_>,
     to_free: u32,
-    op_at: &mut [u32],
-    slot_of: &mut OpMap<u32>,
+    slots: &mut OpSlots,
 ) -> Result<(), MirrorError> {
     let target = encoder.replica().triangle_count().saturating_sub(to_free);
     let mut spare = plan.spare_collapses;
@@ -170,8 +158,7 @@ fn collapse(
         labels.clear();
         for &slot in &members {
             let is_spawn = encoder.replica().is_spawn(VertexSlot(slot));
-            let op = std::mem::replace(&mut op_at[slot as usize], NO_OP);
-            slot_of.remove(&op);
+            let op = slots.take(slot);
             if !is_spawn {
                 labels.push(op);
             }
@@ -191,15 +178,14 @@ fn spawn(
     model: &PackedModel,
     ops: &[u32],
     limit: u32,
-    op_at: &mut Vec<u32>,
-    slot_of: &mut OpMap<u32>,
+    slots: &mut OpSlots,
 ) -> Result<(), MirrorError> {
     let mut ids: Vec<u32> = ops.iter().copied().filter(|&op| op < model.spawn_count()).collect();
     ids.sort_unstable();
     let patches: Vec<Patch> = ids.iter().map(|&id| model.spawn_patch(id)).collect::<Result<_, _>>()?;
     let spawns: Vec<(u32, &Patch)> = ids.iter().copied().zip(&patches).collect();
     for (slot, &id) in encoder.spawns(&spawns, limit)?.into_iter().zip(&ids) {
-        note(op_at, slot_of, id, slot.0);
+        slots.insert(id, slot.0);
     }
     Ok(())
 }
@@ -209,17 +195,17 @@ fn split(
     model: &PackedModel,
     ops: &[u32],
     limit: u32,
-    op_at: &mut Vec<u32>,
-    slot_of: &mut OpMap<u32>,
+    slots: &mut OpSlots,
 ) -> Result<(), MirrorError> {
     // The round of an op is one more than that of its latest parent in this batch: then it is legal, and by the rule of
     // neighbouring faces its vertex is among those that the round before touched.
     let mut by_round: Vec<Vec<u32>> = Vec::new();
+    let mut round_of: OpMap<u32> = OpMap::default();
     for &op in ops.iter().filter(|&&op| op >= model.spawn_count()) {
         let (parents, count) = model.parents(op)?;
-        let pending = |parent: &u32| slot_of.get(parent).filter(|&&slot| slot >= PENDING);
-        let round = parents[..count].iter().filter_map(pending).map(|round| round - PENDING + 1).max().unwrap_or(0);
-        slot_of.insert(op, PENDING + round);
+        let round = parents[..count].iter().filter_map(|parent| round_of.get(parent)).map(|round| round + 1).max();
+        let round = round.unwrap_or(0);
+        round_of.insert(op, round);
         if by_round.len() <= round as usize {
             by_round.resize(round as usize + 1, Vec::new());
         }
@@ -231,8 +217,7 @@ fn split(
         order.clear();
         for &op in ops {
             let fields = model.split(op)?;
-            let address = |op| slot_of.get(&op).copied().filter(|&slot| slot < PENDING);
-            let place = Place::find(model, encoder.replica(), address, &fields)?
+            let place = Place::find(model, encoder.replica(), |op| slots.slot(op), &fields)?
                 .ok_or_else(|| missing(op, "a parent is not applied"))?;
             let vertex = NewVertex {
                 position: fields.position,
@@ -254,7 +239,7 @@ fn split(
                 let (place, op, vertex) = &members[*key as u32 as usize];
                 let resolve = |replica: &Replica, fan: &Fan| Some((place.cut(replica, fan).ok()?, *vertex));
                 let t = encoder.split(place.s.0, limit, resolve).map_err(|error| missing(*op, &error.to_string()))?;
-                note(op_at, slot_of, *op, t.0);
+                slots.insert(*op, t.0);
             }
         }
         let more = encoder.end_split_round();
@@ -270,12 +255,4 @@ fn split(
 
 fn missing(op: u32, reason: &str) -> MirrorError {
     MirrorError::Op { op, reason: reason.into() }
-}
-
-fn note(op_at: &mut Vec<u32>, slot_of: &mut OpMap<u32>, op: u32, slot: u32) {
-    if op_at.len() <= slot as usize {
-        op_at.resize(slot as usize + 1, NO_OP);
-    }
-    op_at[slot as usize] = op;
-    slot_of.insert(op, slot);
 }

@@ -20,6 +20,7 @@
 mod front;
 mod goal;
 mod mirror;
+mod op_index;
 mod order;
 mod pacer;
 mod rest;
@@ -541,7 +542,7 @@ impl Session {
     pub fn applied_ops(&self) -> Vec<(u32, u32)> {
         let mut ops: Vec<(u32, u32)> = match &self.running {
             Some(Running { mirror: Some(mirror), .. }) => mirror.applied().collect(),
-            Some(Running { resting: Some(resting), .. }) => resting.applied().into_iter().collect(),
+            Some(Running { resting: Some(resting), .. }) => resting.applied().iter().collect(),
             _ => Vec::new(),
         };
         ops.sort_unstable();

@@ -11,6 +11,7 @@ use lodestream_protocol::mesh::{Fan, NewVertex};
 use lodestream_protocol::op::SavedContexts;
 
 use super::mirror::{Mirror, MirrorError};
+use super::op_index::OpSlots;
 use super::select::OpMap;
 use crate::pack::place::Place;
 use crate::pack::record::NO_OP;
@@ -70,25 +71,27 @@ impl Resting {
         slots.zip(self.ops.iter().copied())
     }
 
-    /// Ops and the slots they are addressed by, in no particular order.
-    pub(super) fn applied(&self) -> OpMap<u32> {
-        let mut slot_of = OpMap::with_capacity_and_hasher(self.ops.len(), Default::default());
-        // A spawn is addressed by its first slot.
-        self.made().for_each(|(slot, op)| {
-            slot_of.entry(op).or_insert(slot);
-        });
-        slot_of
+    /// Ops and the slots they are addressed by.
+    pub(super) fn applied(&self) -> OpSlots {
+        let mut slots = OpSlots::default();
+        for (slot, op) in self.made() {
+            // A spawn is addressed by its first slot.
+            if slots.slot(op).is_none() {
+                slots.insert(op, slot);
+            }
+        }
+        slots
     }
 
     /// The mirror as it was, but for cuts that its cache knew. O(ops x valence).
     pub(super) fn wake(&self, model: &PackedModel) -> Result<Mirror, MirrorError> {
         let mut mirror = Mirror::new(model, self.cache_entries)?;
-        let slot_of = self.applied();
+        let slots = self.applied();
         let misfit = |op, reason: &str| MirrorError::Op { op, reason: reason.into() };
         self.insert_spawns(model, &mut mirror)?;
         let mut fan = Fan::default();
         let mut pending: Vec<u32> = Vec::new();
-        let find = |op| slot_of.get(&op).copied();
+        let find = |op| slots.slot(op);
         for (_, op) in self.made() {
             if op >= model.spawn_count() {
                 pending.push(op);
@@ -124,9 +127,9 @@ impl Resting {
         if mirror.replica().digest() != self.digest {
             return Err(misfit(NO_OP, "the mesh has changed while the session rested"));
         }
-        let cache = self.cache(model, &mirror, &slot_of)?;
+        let cache = self.cache(model, &mirror, &slots)?;
         mirror.state.resume(&self.contexts, cache);
-        mirror.take_ops(slot_of);
+        mirror.take_ops(slots);
         Ok(mirror)
     }
 
@@ -146,7 +149,7 @@ impl Resting {
     }
 
     /// The cache: each split hangs from the vertex that it splits, or from the cached split that inserts that vertex.
-    fn cache(&self, model: &PackedModel, mirror: &Mirror, slot_of: &OpMap<u32>) -> Result<SplitCache, MirrorError> {
+    fn cache(&self, model: &PackedModel, mirror: &Mirror, slots: &OpSlots) -> Result<SplitCache, MirrorError> {
         let misfit = |op| MirrorError::Op { op, reason: "its vertex is neither there nor cached".into() };
         let places: OpMap<u32> = (0..).zip(&self.cached).map(|(place, &op)| (op, place)).collect();
         let mut splits = vec![(NO_OP, NewVertex::default(), CacheHolder::Entry(0)); self.cached.len()];
@@ -161,7 +164,7 @@ impl Resting {
                     _ => splits[newer as usize].2,
                 },
                 _ => {
-                    let found = Place::vertex(model, replica, |op| slot_of.get(&op).copied(), &fields)?;
+                    let found = Place::vertex(model, replica, |op| slots.slot(op), &fields)?;
                     CacheHolder::Slot(VertexSlot(found.ok_or_else(|| misfit(op))?))
                 }
             };

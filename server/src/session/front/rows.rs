@@ -1,7 +1,9 @@
 //! One row for each op that a front holds, found by a hash of its id and scanned as plain arrays.
 
+use lodestream_protocol::mesh::reserve_an_eighth;
+
+use super::super::op_index::OpIndex;
 use super::motion::{SumAt, Sums};
-use crate::pack::record::NO_OP;
 
 /// The op is wanted for its own sake.
 pub(super) const WANTED: u8 = 1;
@@ -86,7 +88,7 @@ impl Due {
     pub(super) const NOW: Self = Self { small: Half::INFINITY, ..Self::NEVER };
 
     /// Whether that is now, at a threshold and in a cell. Depths count as at least `near`, which is rounded down.
-    #[inline]
+    #[inline(always)]
     pub(super) fn is_now(&self, sums: &Sums, cell: u8, threshold: f32, near: f32) -> bool {
         let least = (self.least_depth - sums.nearer(cell)).max(near);
         let most = (self.most_depth + sums.farther(cell)).max(near.next_up());
@@ -157,47 +159,25 @@ impl Half {
     }
 }
 
-const EMPTY: u32 = u32::MAX;
-
-/// The rows, in no order: 32 bytes each, and 6 to 12 of the index (open addressing, at most two thirds full).
+/// The rows, in no order: 32 bytes each, and 6 to 8 of the index.
 #[derive(Debug, Default)]
 pub(super) struct Rows {
     pub(super) ops: Vec<u32>,
     pub(super) dues: Vec<Due>,
     pub(super) states: Vec<State>,
-    index: Vec<u32>,
+    index: OpIndex,
 }
 
 impl Rows {
     pub(super) fn heap_bytes(&self) -> usize {
-        (self.ops.capacity() + self.states.capacity() + self.index.capacity()) * 4
+        (self.ops.capacity() + self.states.capacity()) * 4
+            + self.index.heap_bytes()
             + self.dues.capacity() * size_of::<Due>()
     }
 
     #[inline]
-    fn home(&self, op: u32) -> usize {
-        // Ids come from the pack, so nobody outside chooses them.
-        let hash = u64::from(op).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-        (hash >> (64 - self.index.len().trailing_zeros())) as usize
-    }
-
-    #[inline]
-    fn probe(&self, op: u32) -> usize {
-        let mask = self.index.len() - 1;
-        let mut at = self.home(op);
-        while self.index[at] != EMPTY && self.ops[self.index[at] as usize] != op {
-            at = (at + 1) & mask;
-        }
-        at
-    }
-
-    #[inline]
     pub(super) fn find(&self, op: u32) -> Option<usize> {
-        if self.index.is_empty() {
-            return None;
-        }
-        let row = self.index[self.probe(op)];
-        (row != EMPTY).then_some(row as usize)
+        self.index.find(op, |row| self.ops[row as usize]).map(|row| row as usize)
     }
 
     #[inline]
@@ -207,66 +187,30 @@ impl Rows {
 
     /// The row of an op, a new one if it has none.
     pub(super) fn ensure(&mut self, op: u32) -> usize {
-        debug_assert_ne!(op, NO_OP);
-        if 3 * (self.ops.len() + 1) > 2 * self.index.len() {
-            self.grow();
+        let (ops, new) = (&self.ops, self.ops.len());
+        let row = self.index.find_or_insert(op, new as u32, |row| ops[row as usize]) as usize;
+        if row == new {
+            reserve_an_eighth(&mut self.ops, new + 1);
+            reserve_an_eighth(&mut self.dues, new + 1);
+            reserve_an_eighth(&mut self.states, new + 1);
+            self.ops.push(op);
+            self.dues.push(Due::NEVER);
+            self.states.push(State::default());
         }
-        let at = self.probe(op);
-        if self.index[at] != EMPTY {
-            return self.index[at] as usize;
-        }
-        let row = self.ops.len();
-        self.index[at] = row as u32;
-        self.ops.push(op);
-        self.dues.push(Due::NEVER);
-        self.states.push(State::default());
         row
-    }
-
-    fn grow(&mut self) {
-        let capacity = (2 * self.index.len()).max(64);
-        self.index = vec![EMPTY; capacity];
-        for row in 0..self.ops.len() {
-            let at = self.probe(self.ops[row]);
-            self.index[at] = row as u32;
-        }
     }
 
     /// Removes the row of an op; the last row takes its place.
     pub(super) fn remove(&mut self, op: u32) {
-        let hole = self.probe(op);
-        let row = self.index[hole];
-        if row == EMPTY {
-            return;
+        let ops = &self.ops;
+        let op_of = |row: u32| ops[row as usize];
+        let Some(row) = self.index.remove(op, op_of) else { return };
+        if row as usize + 1 < ops.len() {
+            self.index.moved(ops[ops.len() - 1], row, op_of);
         }
-        let last = self.ops.len() - 1;
-        let at_last = self.probe(self.ops[last]);
-        self.index[at_last] = row;
-        self.index[hole] = EMPTY;
         self.ops.swap_remove(row as usize);
         self.dues.swap_remove(row as usize);
         self.states.swap_remove(row as usize);
-        self.close(hole);
-    }
-
-    /// Moves entries back that a hole would hide.
-    fn close(&mut self, mut hole: usize) {
-        let mask = self.index.len() - 1;
-        let mut at = hole;
-        loop {
-            at = (at + 1) & mask;
-            let row = self.index[at];
-            if row == EMPTY {
-                return;
-            }
-            let home = self.home(self.ops[row as usize]);
-            // Whether `home` lies cyclically outside (hole, at].
-            if (at.wrapping_sub(home) & mask) >= (at.wrapping_sub(hole) & mask) {
-                self.index[hole] = row;
-                self.index[at] = EMPTY;
-                hole = at;
-            }
-        }
     }
 }
 
