@@ -6,7 +6,7 @@
 
 use lodestream_protocol::view::View;
 
-use super::front::{Effort, Front};
+use super::front::{Effort, Front, give_back};
 use super::mirror::Mirror;
 use super::order::sending_order;
 use super::score::Scorer;
@@ -33,8 +33,8 @@ pub(super) struct Aim {
     pub(super) stale: Vec<(u32, f32)>,
     /// Priority at which the selection ended: the tolerance, or more when the limit binds.
     pub(super) lambda: f32,
-    /// Largest priority of an op that was left out.
-    pub(super) error: f32,
+    /// Largest priority of an op that was left out. None where it takes a search, see [`Goal::error`]: a view that moves on is not asked for it.
+    pub(super) error: Option<f32>,
     pub(super) is_limited: bool,
     /// Ops that were judged for it one by one; none are counted where the view was walked.
     pub(super) tested: u32,
@@ -101,6 +101,14 @@ impl Goal {
         })
     }
 
+    /// The error of the last view, which `view` is, where [`aim`](Self::aim) did not tell.
+    ///
+    /// # Errors
+    /// [`PackError`] if a page is damaged.
+    pub(super) fn error(&self, model: &PackedModel, access: PageAccess, view: &View) -> Result<f32, PackError> {
+        self.front.error(model, &Scorer::new(view, model.info()), access)
+    }
+
     fn walk(
         &mut self,
         model: &PackedModel,
@@ -117,7 +125,7 @@ impl Goal {
             pending: sending_order(model, scorer, &waiting)?,
             stale: judged(model, scorer, &stale)?,
             lambda: selection.lambda,
-            error: selection.error,
+            error: Some(selection.error),
             is_limited: selection.is_limited,
             tested: 0,
             missing: selection.missing,
@@ -131,6 +139,8 @@ fn tidy(ops: &mut Vec<u32>, mut counts: impl FnMut(u32) -> bool) {
     ops.retain(|&op| counts(op));
     ops.sort_unstable();
     ops.dedup();
+    let used = ops.len();
+    give_back(ops, used);
 }
 
 fn judged(model: &PackedModel, scorer: &Scorer, ops: &[u32]) -> Result<Vec<(u32, f32)>, PackError> {

@@ -264,7 +264,8 @@ struct Work {
     /// Those among `stale` that may stay until the view has rested.
     reluctant: SlotSet,
     lambda: f32,
-    error: f32,
+    /// See [`Aim`].
+    error: Option<f32>,
     is_limited: bool,
     /// Pages without which there may be more to do, see [`select`](select::Selection::missing).
     missing: Vec<PageId>,
@@ -457,7 +458,11 @@ impl Session {
             let seq = running.last_seq;
             let has_settled = work.is_done();
             running.settled_at = has_settled.then_some(now);
-            running.settled = has_settled.then(|| Settled { view: current.seq, seq, outcome: work.outcome() });
+            let outcome = match has_settled {
+                true => Some(work.outcome(|| running.goal.error(&self.model, self.access, &current.view))?),
+                false => None,
+            };
+            running.settled = outcome.map(|outcome| Settled { view: current.seq, seq, outcome });
             let in_force = (current.view.triangle_limit, work.lambda);
             let before = running.told.replace(in_force);
             let message = ServerMessage::Batch(Batch {
@@ -466,7 +471,7 @@ impl Session {
                 limit: before.is_none_or(|told| told.0 != in_force.0).then_some(in_force.0),
                 lambda_px: before.is_none_or(|told| told.1 != in_force.1).then_some(in_force.1),
                 digest: mirror.replica().digest() as u32,
-                outcome: has_settled.then_some(work.outcome()),
+                outcome,
                 ops,
             });
             let frame = wire::encode_server(&message);
@@ -481,7 +486,8 @@ impl Session {
             return Ok(None);
         }
         running.settled_at = Some(now);
-        let settled = Settled { view: current.seq, seq: running.last_seq, outcome: work.outcome() };
+        let outcome = work.outcome(|| running.goal.error(&self.model, self.access, &current.view))?;
+        let settled = Settled { view: current.seq, seq: running.last_seq, outcome };
         running.settled = Some(settled);
         Ok(Some(self.frame(&ServerMessage::Settled(settled))))
     }
@@ -663,8 +669,13 @@ impl Work {
         }
     }
 
-    fn outcome(&self) -> Outcome {
-        Outcome { error_px: self.error, limited: self.is_limited }
+    /// What a settled view is told; `error` finds what is left out, if that is not known.
+    fn outcome(&mut self, error: impl FnOnce() -> Result<f32, PackError>) -> Result<Outcome, PackError> {
+        let error_px = match self.error {
+            Some(error) => error,
+            None => *self.error.insert(error()?),
+        };
+        Ok(Outcome { error_px, limited: self.is_limited })
     }
 
     fn is_done(&self) -> bool {

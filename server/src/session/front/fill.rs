@@ -29,6 +29,11 @@ pub(super) struct Filled {
 }
 
 impl Filled {
+    /// Nothing is filled: what a camera that moves is shown.
+    pub(super) fn rough(threshold: f32) -> Self {
+        Self { is_limited: true, is_rough: true, lambda: threshold, error: threshold, has_failed: false }
+    }
+
     fn leave_out(&mut self, priority: f32) {
         if !self.is_limited {
             (self.is_limited, self.lambda) = (true, priority);

@@ -64,7 +64,8 @@ pub(crate) struct Update {
     pub(crate) left: Vec<u32>,
     /// See [`Selection`](super::select::Selection).
     pub(crate) lambda: f32,
-    pub(crate) error: f32,
+    /// Where the limit binds; elsewhere [`Front::error`] tells.
+    pub(crate) error: Option<f32>,
     pub(crate) is_limited: bool,
     /// Pages without which the set is a part of P*, those of the most important ops first.
     pub(crate) missing: Vec<PageId>,
@@ -291,12 +292,10 @@ impl Front {
         };
         out.has_failed = filled.is_some_and(|filled| filled.has_failed);
         out.is_rough = filled.is_some_and(|filled| filled.is_rough);
-        match filled {
-            Some(filled) if filled.is_limited => {
-                (out.lambda, out.error, out.is_limited) = (filled.lambda, filled.error, true)
-            }
-            _ => out.error = self.error(model, scorer, access)?,
+        if let Some(filled) = filled.filter(|filled| filled.is_limited) {
+            (out.lambda, out.error, out.is_limited) = (filled.lambda, Some(filled.error), true);
         }
+        let touched = self.touched.len();
         for op in self.touched.drain(..) {
             let row = self.rows.find(op).expect("rows are removed below");
             let state = &mut self.rows.states[row];
@@ -313,6 +312,10 @@ impl Front {
                 }
             }
         }
+        // A first view touches as much as a thousand others.
+        give_back(&mut self.touched, touched);
+        give_back(&mut self.work, touched);
+        give_back(&mut self.stack, touched);
         Ok(out)
     }
 
@@ -401,8 +404,7 @@ impl Front {
                 }
             }
             if effort == Effort::Moving {
-                let (lambda, error) = (self.threshold, self.threshold);
-                return Ok(Some(fill::Filled { is_limited: true, is_rough: true, lambda, error, has_failed: false }));
+                return Ok(Some(fill::Filled::rough(self.threshold)));
             }
             let filled = self.fill(context)?;
             if filled.is_limited || has_fitted {
@@ -694,8 +696,11 @@ impl Front {
         due.most_priority(self.motion.sums(), *cell, near)
     }
 
-    /// Largest priority of an op that is not wanted, where no limit binds.
-    fn error(&self, model: &PackedModel, scorer: &Scorer, access: PageAccess) -> Result<f32, PackError> {
+    /// Largest priority of an op that is not wanted in the view of the last update, where no limit binds. A few nanoseconds a row.
+    ///
+    /// # Errors
+    /// [`PackError`] if a page is damaged.
+    pub(crate) fn error(&self, model: &PackedModel, scorer: &Scorer, access: PageAccess) -> Result<f32, PackError> {
         let is_ready = |op: u32| access == PageAccess::Blocking || model.is_ready(PackedModel::page_of(op));
         let is_out = |op: u32| op != NO_OP && is_ready(op) && self.rows.state(op).flags & WANTED == 0;
         let near = down(scorer.near());
@@ -737,6 +742,13 @@ impl Front {
             }
         }
         Ok(error)
+    }
+}
+
+/// Gives memory back that is far more than what was used.
+pub(super) fn give_back<T>(list: &mut Vec<T>, used: usize) {
+    if list.capacity() > (8 * used).max(1024) {
+        list.shrink_to(2 * used);
     }
 }
 

@@ -129,8 +129,9 @@ fn follow(model: &PackedModel, seed: u64, views: u32) -> (u32, u64, u64) {
             wanted.difference(&found).take(3).collect::<Vec<_>>(),
             view,
         );
+        let error = update.error.unwrap_or_else(|| front.error(model, &scorer, PageAccess::Blocking).unwrap());
         assert_eq!(
-            (update.lambda, update.error, update.is_limited),
+            (update.lambda, error, update.is_limited),
             (expected.lambda, expected.error, expected.is_limited),
             "seed {seed}, view {number}"
         );
