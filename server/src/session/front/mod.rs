@@ -36,7 +36,7 @@ const LOW_WATER: f64 = 0.985;
 const AIM: f64 = 0.994;
 /// The same while the camera moves: a threshold that is moved seldom costs less, and few see a twenty-fifth of the triangles missing.
 const MOVING_LOW_WATER: f64 = 0.96;
-const MOVING_AIM: f64 = 0.985;
+const MOVING_AIM: f64 = 0.993;
 /// How the size of a closure falls with the threshold: by about the power -1.6.
 const THRESHOLD_POWER: f64 = 0.6;
 /// Where a threshold of zero is raised to.
