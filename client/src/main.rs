@@ -15,6 +15,7 @@ use lodestream_client::app::file::{check_folder, write_aside};
 use lodestream_client::app::snapshot::{self, Look, SnapshotOptions};
 use lodestream_client::camera::recording::Recording;
 use lodestream_client::camera::{Detail, Viewport};
+use lodestream_client::load::drops::Drops;
 use lodestream_client::load::duty::Duty;
 use lodestream_client::load::pace::Pace;
 use lodestream_client::load::page;
@@ -175,6 +176,10 @@ struct LoadArgs {
     /// Times in which nothing moves: how long they are and how far apart on average, such as 300ms/10s
     #[arg(long, value_name = "LENGTH/INTERVAL")]
     stall: Option<Stalls>,
+    /// Connections that break at random and are made anew: the share of clients that lose theirs once, such as 0.2, or how
+    /// often each does on average, such as 1/10s
+    #[arg(long, value_name = "SHARE|N/TIME")]
+    drop: Option<Drops>,
     /// What paths and links are drawn from: the same seed, the same paths and links
     #[arg(long, value_name = "N", default_value = "1")]
     seed: u64,
@@ -294,6 +299,7 @@ fn run_load(args: LoadArgs) -> anyhow::Result<()> {
         fov_y_rad: args.fov.to_radians(),
         detail: Detail { triangle_limit: args.triangles, tolerance_px: args.tolerance, ..Detail::default() },
         shape: LinkShape { rate: args.rate, latency: args.latency, loss: args.loss, stalls: args.stall, seed: 0 },
+        drops: args.drop,
         seed: args.seed,
         threads: args.threads,
         has_error_curves: args.report.is_some(),
@@ -485,9 +491,12 @@ mod tests {
         let args = parse("").unwrap();
         assert_eq!((args.clients, args.duration, args.path.as_str(), args.view_rate), (1, None, "orbit", None));
         assert_eq!((args.size.height_px, args.triangles, args.seed, args.threads), (1080, 1_000_000, 1, 0));
-        let args =
-            parse("--clients 1000 --ramp 5s --duration 1.5 --view-rate settled --stall 300ms/10s --loss 0.01").unwrap();
+        let args = parse(
+            "--clients 1000 --ramp 5s --duration 1.5 --view-rate settled --stall 300ms/10s --loss 0.01 --drop 0.5",
+        )
+        .unwrap();
         assert_eq!((args.clients, args.view_rate, args.loss), (1000, Some(Pace::Settled), 0.01));
+        assert_eq!(args.drop, Some(Drops::Share(0.5)));
         assert_eq!((args.ramp.as_secs(), args.duration.unwrap().as_millis()), (5, 1500));
         assert_eq!(args.stall.unwrap().length.as_millis(), 300);
         for flags in [
@@ -495,6 +504,8 @@ mod tests {
             "--duration 0",
             "--view-rate never",
             "--stall 300ms",
+            "--drop 2",
+            "--drop 10s",
             "--loss 2",
             "--loss nan",
             "--seed -1",

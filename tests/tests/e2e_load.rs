@@ -209,6 +209,58 @@ fn failures_are_counted_by_cause() {
 }
 
 #[test]
+fn connections_that_break_are_made_anew_and_nothing_comes_twice() {
+    let folder = TempDir::new();
+    let mut server_process = serve(&folder);
+    let flags = "--clients 6 --ramp 0.2s --path jump --view-rate settled --triangles unlimited --tolerance 0.25 \
+                 --rate 2Mbit --latency 10ms";
+    let run = |more: &str| {
+        let (code, figures, said) = load(&server_process, "sphere", &format!("{flags} {more}"));
+        assert_eq!(code, 0, "{more}: {said}");
+        figures
+    };
+    let resumed_before = || {
+        let page = server_process.get("/metrics");
+        let value = |name: &str| {
+            let line = page.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' '));
+            line.and_then(|text| text.parse::<u64>().ok()).unwrap_or_else(|| panic!("no {name}"))
+        };
+        (value("lodestream_resumptions_total{outcome=\"resumed\"}"), value("lodestream_sent_again_bytes_total"))
+    };
+    let whole = run("--seed 5");
+    assert!(whole.get("dropped").is_none() && resumed_before() == (0, 0));
+
+    // While batches are on their way.
+    let often = run("--seed 5 --drop 3/1s");
+    let at = |pointer: &str| count(&often, pointer);
+    let (connections, resumed) = (at("/dropped/connections"), at("/dropped/resumed"));
+    assert!(connections >= 12 && resumed + at("/dropped/begun_anew") == connections, "{}", often["dropped"]);
+    assert_eq!(at("/dropped/time_to_answer_ms/count"), connections);
+    // The shortest wait before a try, and four ways there and back: TCP, upgrade, claim.
+    let least = often["dropped"]["time_to_answer_ms"]["p50"].as_f64().expect("there are samples");
+    assert!(least >= 125.0 + 60.0, "{least}");
+    let sent_again = often["dropped"]["sent_again_bytes"].as_f64().expect("the server says so");
+    assert!(sent_again > 0.0 && sent_again < at("/all/payload_in") as f64 / 2.0, "{sent_again}");
+    assert_eq!(resumed_before(), (resumed, sent_again as u64));
+
+    // Each client once, between two views.
+    let once = run("--seed 5 --drop 1");
+    assert_eq!((count(&once, "/dropped/connections"), count(&once, "/dropped/resumed")), (6, 6));
+    assert_eq!(once["options"]["drop_share"], 1.0);
+    for figures in [&often, &once] {
+        for pointer in ["/all/views_settled", "/all/splits", "/all/collapses", "/resets", "/clients/completed"] {
+            assert_eq!(count(figures, pointer), count(&whole, pointer), "{pointer}");
+        }
+    }
+
+    // Who is hit is drawn from the seed.
+    let hit = |seed: u32| count(&run(&format!("--duration 1 --drop 0.5 --seed {seed}")), "/dropped/connections");
+    let [one, again, other] = [21, 21, 22].map(hit);
+    assert!(one == again && one != other, "{one} {again} {other}");
+    server_process.check_healthy();
+}
+
+#[test]
 fn a_report_shows_what_the_server_used_and_how_errors_fell() {
     let folder = TempDir::new();
     let mut server_process = serve(&folder);

@@ -152,6 +152,36 @@ async fn a_resumed_session_costs_a_small_share_of_a_fresh_one() {
     server.check_healthy();
 }
 
+/// The welcome is one frame with token and base. Whose connection breaks before all of it has come says hello again, and what
+/// comes twice is that frame.
+#[tokio::test]
+async fn a_base_that_breaks_off_comes_anew_and_nothing_else_does() {
+    let folder = TempDir::new();
+    let mut server = serve(&folder);
+    let proxy = Proxy::start(server.authority()).await;
+    let mut fresh = Client::start(&proxy.url("sphere")).await;
+    fresh.run(|session| session.model().is_some()).await;
+    let (bytes, views) = (fresh.connection.bytes_delivered(), fresh.session.stats().views);
+    fresh.settle().await;
+    // The last byte is missing, half of the frame is (upgrades take 166 bytes), or its head alone has come.
+    for cut in [bytes - 1, bytes - (bytes - 166) / 2, 168] {
+        assert!(cut > 166 && cut < bytes, "{cut} of {bytes}");
+        proxy.cut_after(cut);
+        let mut client = Client::start(&proxy.url("sphere")).await;
+        client.run(|session| session.model().is_some()).await;
+        let delivered = client.connection.bytes_delivered();
+        assert!((bytes..=bytes + cut).contains(&delivered), "{delivered} bytes, of which {cut} in vain");
+        client.settle().await;
+        let stats = client.session.stats();
+        assert_eq!((stats.connections_lost, stats.resumed, stats.restarted, stats.resets), (0, 0, 0, 0), "{cut}");
+        assert_eq!(stats.views, views + 1, "the view is said again");
+        assert!(client.triangles() == fresh.triangles(), "{cut}");
+    }
+    // Nobody asks for the sessions that were welcomed in vain.
+    assert_eq!((outcome(&server, "resumed"), outcome(&server, "refused")), (0, 0));
+    server.check_healthy();
+}
+
 /// The client notices first: for the server the old connection is as good as ever, and it is closed.
 #[tokio::test]
 async fn a_half_open_connection_is_taken_over() {

@@ -12,13 +12,14 @@ use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::ViewError;
 
 use super::LoadOptions;
+use super::drops::Schedule;
 use super::duty::Duty;
 use super::pace::Pace;
 use super::path::{Path, Pose, poses};
 use super::totals::{Counters, FIRST_INTERVAL, Interval, Phase, SingleKind, SingleKindBatches, Totals};
 use super::trace::{Point, Trace};
 use crate::camera::{Bounds, Camera};
-use crate::core::{ClientConfig, ClientError, ClientSession, Stats};
+use crate::core::{ClientConfig, ClientError, ClientSession, Connectivity, Stats};
 use crate::net::native::{Connection, Delivery, Event, NetError};
 
 /// How long a server may say nothing at all while something is due from it.
@@ -77,7 +78,7 @@ async fn run(options: &LoadOptions, index: u64, shared: &Shared) -> Result<(), F
         totals.connected += 1;
         totals.connect.add(micros(connection.now().0));
     }
-    let mut client = Client::new(options, rng, shared);
+    let mut client = Client::new(options, rng, shape.seed, shared);
     client.trace = (options.has_error_curves && Trace::includes(index, options.clients)).then(Trace::default);
     let result = client.drive(&mut connection).await;
     client.finish(&connection);
@@ -146,6 +147,9 @@ struct Client<'a> {
     phase: Phase,
     has_first_image: bool,
     has_settled: bool,
+    drops: Schedule,
+    /// When the connection broke, until the server has answered over the next one.
+    broke_at: Option<Timestamp>,
     /// What was not yet added to the shared sums.
     counters: Counters,
     single_kind: SingleKindBatches,
@@ -158,14 +162,15 @@ struct Client<'a> {
 }
 
 impl<'a> Client<'a> {
-    fn new(options: &'a LoadOptions, mut rng: Rng, shared: &'a Shared) -> Self {
+    /// `seed` is that of the link.
+    fn new(options: &'a LoadOptions, mut rng: Rng, seed: u64, shared: &'a Shared) -> Self {
         let phase_of_motion = if options.duty == Duty::ALWAYS { 0.0 } else { rng.f64() };
         Self {
             phase_of_motion,
             options,
             rng,
             shared,
-            session: ClientSession::new(session_config(options)),
+            session: ClientSession::new(ClientConfig { reconnect_seed: seed, ..session_config(options) }),
             bounds: None,
             poses: Vec::new(),
             began: Timestamp::default(),
@@ -175,6 +180,8 @@ impl<'a> Client<'a> {
             phase: Phase::FirstView,
             has_first_image: false,
             has_settled: false,
+            drops: Schedule::new(options.drops, seed),
+            broke_at: None,
             counters: Counters::default(),
             single_kind: SingleKindBatches::default(),
             counted_in: 0,
@@ -187,9 +194,15 @@ impl<'a> Client<'a> {
     async fn drive(&mut self, connection: &mut Connection) -> Result<(), Failure> {
         let mut heard = connection.bytes_received();
         let mut heard_at = connection.now();
+        self.drops.connected(heard_at);
         loop {
             let now = connection.now();
             self.move_on(now)?;
+            if self.broke_at.is_none() && self.drops.take_due(now, self.part_over(now)) {
+                self.lose(connection).await?;
+                (heard, heard_at) = (connection.bytes_received(), connection.now());
+                continue;
+            }
             while connection.may_send()
                 && let Some(frame) = self.session.poll_transmit(now)
             {
@@ -211,12 +224,65 @@ impl<'a> Client<'a> {
                 return Err(Failure::Silent);
             }
             let retry = (!connection.may_send()).then_some(now + RETRY);
-            let end = self.options.duration.map(Timestamp);
-            let wakes = [self.next_view_at(), end, retry, Some(self.next_flush), Some(heard_at + SILENCE)];
+            // Who comes back is waited for, past the end.
+            let end = self.options.duration.map(Timestamp).filter(|_| self.broke_at.is_none());
+            let drop_at = self.drops.due_at(self.options.duration).filter(|_| self.broke_at.is_none());
+            let wakes = [self.next_view_at(), end, retry, Some(self.next_flush), Some(heard_at + SILENCE), drop_at];
             match connection.next(wakes.into_iter().flatten().min()).await? {
                 Event::Wake => {}
                 Event::Frame(delivery) => self.take_frame(connection.now(), connection.bytes_sent(), &delivery)?,
             }
+        }
+    }
+
+    /// Breaks the connection and makes another, try after try.
+    async fn lose(&mut self, connection: &mut Connection) -> Result<(), Failure> {
+        let lost_at = connection.now();
+        let received = connection.bytes_received();
+        let cut_off = received - connection.bytes_delivered().min(received);
+        self.count_traffic(received.max(self.counted_in), connection.bytes_sent());
+        connection.cut();
+        {
+            let mut totals = self.shared.lock();
+            totals.dropped.connections += 1;
+            totals.dropped.cut_off_bytes += cut_off;
+        }
+        self.broke_at = Some(lost_at);
+        loop {
+            self.session.handle_loss(connection.now());
+            if let Connectivity::Reconnecting { next_try, .. } = self.session.connectivity() {
+                connection.sleep_until(next_try).await;
+            }
+            match connection.reopen(&self.options.target).await {
+                Ok(()) => return Ok(()),
+                Err(error) if error.is_passing() && connection.now().since(lost_at) < SILENCE => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
+    }
+
+    /// Notes that the server has answered after a break.
+    fn come_back(&mut self, now: Timestamp) {
+        let connectivity = self.session.connectivity();
+        if matches!(connectivity, Connectivity::Reconnecting { .. }) {
+            return;
+        }
+        let Some(broke_at) = self.broke_at.take() else { return };
+        self.drops.connected(now);
+        let mut totals = self.shared.lock();
+        totals.dropped.back.add(micros(now.since(broke_at)));
+        match connectivity {
+            Connectivity::Resumed => totals.dropped.resumed += 1,
+            _ => totals.dropped.begun_anew += 1,
+        }
+    }
+
+    /// Share of the run that is over: of its time, or of the views of the path.
+    fn part_over(&self, now: Timestamp) -> f64 {
+        match self.options.duration {
+            Some(duration) => now.0.as_secs_f64() / duration.as_secs_f64(),
+            None if self.watched.is_none() => 0.0,
+            None => (self.step + 1) as f64 / self.length() as f64,
         }
     }
 
@@ -229,6 +295,7 @@ impl<'a> Client<'a> {
         let began = processor_time();
         let result = self.session.handle_frame(now, &delivery.frame);
         self.counters.core_cpu += processor_time().saturating_sub(began);
+        self.come_back(now);
         let after = self.session.stats().clone();
         self.count_ops(&before, &after, bytes);
         self.watch(now, &before, &after, bytes);
@@ -430,6 +497,10 @@ impl<'a> Client<'a> {
     }
 
     fn is_over(&self, now: Timestamp) -> bool {
+        // Who comes back is waited for: every break has its outcome.
+        if self.broke_at.is_some() {
+            return false;
+        }
         match self.options.duration {
             Some(duration) => now.0 >= duration,
             None => self.watched.is_some() && self.step + 1 >= self.length() && self.session.settled().is_some(),

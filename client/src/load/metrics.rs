@@ -66,6 +66,8 @@ pub struct Reading {
     pub refused: f64,
     /// Resets since then.
     pub resets: f64,
+    /// Bytes of batches sent a second time since then.
+    pub sent_again_bytes: f64,
 }
 
 impl Reading {
@@ -83,6 +85,7 @@ impl Reading {
             sessions: sum("lodestream_sessions")?,
             refused: sum("lodestream_refused_total")?,
             resets: sum("lodestream_resets_total")?,
+            sent_again_bytes: sum("lodestream_sent_again_bytes_total")?,
         })
     }
 }
@@ -159,6 +162,8 @@ pub struct ServerFigures {
     pub refused: f64,
     /// Resets during the run.
     pub resets: f64,
+    /// Bytes of batches sent a second time during the run, over connections that took the place of broken ones.
+    pub sent_again_bytes: f64,
     /// What was read, about once a second.
     pub readings: Vec<Reading>,
 }
@@ -173,6 +178,7 @@ impl ServerFigures {
         if has_fallen(|reading| reading.cpu_s)
             || has_fallen(|reading| reading.refused)
             || has_fallen(|reading| reading.resets)
+            || has_fallen(|reading| reading.sent_again_bytes)
         {
             return Err(MetricsError::Restarted);
         }
@@ -193,6 +199,7 @@ impl ServerFigures {
             session_bytes_per_session: ratio(fullest.session_bytes, fullest.sessions),
             refused: last.refused - first.refused,
             resets: last.resets - first.resets,
+            sent_again_bytes: last.sent_again_bytes - first.sent_again_bytes,
             readings,
         })
     }
@@ -282,7 +289,7 @@ mod tests {
     const PAGE: &str = "# HELP lodestream_sessions Sessions by state.\n# TYPE lodestream_sessions gauge\n\
         lodestream_sessions{state=\"moving\"} 3\nlodestream_sessions{state=\"resting\"} 2 1700000000000\n\n\
         lodestream_session_memory_bytes 5e6\nlodestream_refused_total{reason=\"a } \\\" \\\\\",x=\"\"} 1\n\
-        lodestream_resets_total 0\nlodestream_view_seconds_bucket{le=\"+Inf\"} +Inf\n\
+        lodestream_resets_total 0\nlodestream_sent_again_bytes_total 4096\nlodestream_view_seconds_bucket{le=\"+Inf\"} +Inf\n\
         process_cpu_seconds_total 12.5\nprocess_resident_memory_bytes 1e8\n";
 
     #[test]
@@ -296,6 +303,7 @@ mod tests {
             sessions: 5.0,
             refused: 1.0,
             resets: 0.0,
+            sent_again_bytes: 4096.0,
         };
         assert_eq!(reading, expected);
     }

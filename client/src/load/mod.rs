@@ -2,13 +2,14 @@
 //!
 //! Each client is a task with the session core and the socket of the real client, behind a link of its own; nothing is drawn.
 //!
-//! - [`path`]: where cameras go. [`pace`], [`duty`]: when. `client`: one client. `totals`, `histogram`: what they measure, in bounded memory.
+//! - [`path`]: where cameras go. [`pace`], [`duty`]: when. [`drops`]: when connections break. `client`: one client. `totals`, `histogram`: what they measure, in bounded memory.
 //! - [`metrics`]: what the server says about itself meanwhile. [`trace`], `ladder`: how the error of a view falls.
 //! - [`report`]: the figures for people and machines. [`page`], `plot`: the same as a page with plots.
 //!
 //! Links are in [`net`](crate::net), below the WebSocket.
 
 mod client;
+pub mod drops;
 pub mod duty;
 mod histogram;
 mod ladder;
@@ -33,6 +34,7 @@ use crate::camera::{Detail, Viewport};
 use crate::net::link::LinkShape;
 use crate::net::target::Target;
 use client::{Shared, chain, play};
+use drops::Drops;
 use duty::Duty;
 use ladder::error_curves;
 use metrics::Reader;
@@ -71,6 +73,8 @@ pub struct LoadOptions {
     pub detail: Detail,
     /// Each client's link. The seed of the shape is not used: every client has its own.
     pub shape: LinkShape,
+    /// Whose connections break, if any do. Clients whose do so come back and go on with their sessions.
+    pub drops: Option<Drops>,
     /// What paths and links are drawn from.
     pub seed: u64,
     /// Threads that all clients share; 0 for one per core.

@@ -39,6 +39,7 @@ pub fn html(report: &Report) -> Result<String, PlotError> {
     errors(&mut page, report)?;
     kinds(&mut page, report)?;
     timeline(&mut page, report)?;
+    dropped(&mut page, report);
     server(&mut page, report)?;
     page.raw("</body></html>\n");
     Ok(page.0)
@@ -135,6 +136,14 @@ fn settings(page: &mut Page, report: &Report) {
         ("link rate", or(options.rate_bits_per_s.map(|rate| format!("{}bit/s", short(rate as f64))), "unlimited")),
         ("latency", format!("{} ms one way", options.latency_ms)),
         ("loss", format!("{} % of packets", options.loss * 100.0)),
+        (
+            "broken connections",
+            match (options.drop_share, options.drop_every_s) {
+                (Some(share), _) => format!("one of {} % of the clients", share * 100.0),
+                (None, Some(mean)) => format!("each after {mean} s on average"),
+                (None, None) => "none".into(),
+            },
+        ),
         ("stalls", or(options.stalls_ms.map(|[length, gap]| format!("{length} ms, {gap} ms apart")), "none")),
     ];
     page.raw("<h2>Settings</h2>\n<table>\n");
@@ -255,6 +264,18 @@ fn timeline(page: &mut Page, report: &Report) -> Result<(), PlotError> {
     let triangles = [Line::new("mean of a client", triangles)];
     page.raw(&lines("Triangles", [time, Axis::linear("triangles")], &triangles, LowerRight)?);
     Ok(())
+}
+
+fn dropped(page: &mut Page, report: &Report) {
+    let rows = report.dropped_rows();
+    if rows.is_empty() {
+        return;
+    }
+    page.raw("<h2>Broken connections</h2>\n<table class=\"figures\">\n");
+    for (name, value) in rows {
+        page.row("td", [name.into(), value]);
+    }
+    page.raw("</table>\n");
 }
 
 fn server(page: &mut Page, report: &Report) -> Result<(), PlotError> {

@@ -7,6 +7,7 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::LoadOptions;
+use super::drops::Drops;
 pub use super::histogram::Percentiles;
 use super::ladder::ErrorCurves;
 pub use super::metrics::ServerFigures;
@@ -54,6 +55,10 @@ pub struct Asked {
     pub loss: f64,
     /// Length of a stall, and mean time from one to the next, in milliseconds.
     pub stalls_ms: Option<[f64; 2]>,
+    /// Share of clients that lose their connection once.
+    pub drop_share: Option<f64>,
+    /// Mean time that a client's connection lasts, in seconds.
+    pub drop_every_s: Option<f64>,
     /// Seed of paths and links.
     pub seed: u64,
 }
@@ -71,6 +76,23 @@ pub struct Clients {
     pub failed: u64,
     /// How many failed for which reason.
     pub failures: BTreeMap<String, u64>,
+}
+
+/// Connections that broke because that was asked for.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Dropped {
+    /// How many.
+    pub connections: u64,
+    /// After how many the session went on.
+    pub resumed: u64,
+    /// After how many it began anew.
+    pub begun_anew: u64,
+    /// From the break to the server's answer over the next connection, waits included.
+    pub time_to_answer_ms: Option<Percentiles>,
+    /// Bytes that had come of frames when these broke off.
+    pub cut_off_bytes: u64,
+    /// Bytes of batches that the server sent a second time, by its own account.
+    pub sent_again_bytes: Option<f64>,
 }
 
 /// Sums over a part of the run, and what follows from them.
@@ -183,6 +205,9 @@ pub struct Report {
     pub resets: u64,
     /// Batches dropped until the server began again.
     pub dropped_batches: u64,
+    /// Connections that broke, if that was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dropped: Option<Dropped>,
     /// What the server says about itself, if it does.
     pub server: Option<ServerFigures>,
     /// Why not.
@@ -244,6 +269,14 @@ impl Report {
             limits_exceeded: totals.limits_exceeded,
             resets: totals.resets,
             dropped_batches: totals.dropped_batches,
+            dropped: options.drops.map(|_| Dropped {
+                connections: totals.dropped.connections,
+                resumed: totals.dropped.resumed,
+                begun_anew: totals.dropped.begun_anew,
+                time_to_answer_ms: totals.dropped.back.summary(MILLI),
+                cut_off_bytes: totals.dropped.cut_off_bytes,
+                sent_again_bytes: server.as_ref().map(|server| server.sent_again_bytes),
+            }),
             server,
             server_missing,
             first_view_error: None,
@@ -283,6 +316,24 @@ impl Report {
             ("view to settled, ms", 1, &self.view_to_settled_ms),
             ("stale bytes after a view", 0, &self.stale_bytes),
             ("error when settled, px", 3, &self.settled_error_px),
+        ]
+    }
+
+    /// What became of connections that broke, as it stands in tables; none if none were to.
+    pub(super) fn dropped_rows(&self) -> Vec<(&'static str, String)> {
+        let Some(dropped) = &self.dropped else { return Vec::new() };
+        let Dropped { connections, resumed, begun_anew, time_to_answer_ms, cut_off_bytes, sent_again_bytes } = dropped;
+        let time =
+            |of: fn(&Percentiles) -> f64| time_to_answer_ms.as_ref().map_or("-".into(), |t| format!("{:.1}", of(t)));
+        vec![
+            ("connections broken", connections.to_string()),
+            ("  resumed", resumed.to_string()),
+            ("  begun anew", begun_anew.to_string()),
+            ("  until answered, ms, p50", time(|t| t.p50)),
+            ("  p99", time(|t| t.p99)),
+            ("  max", time(|t| t.max)),
+            ("  bytes cut off", cut_off_bytes.to_string()),
+            ("  bytes sent again", sent_again_bytes.map_or("-".into(), |bytes| format!("{bytes:.0}"))),
         ]
     }
 
@@ -355,6 +406,14 @@ impl Asked {
                 .shape
                 .stalls
                 .map(|stalls| [stalls.length, stalls.interval].map(|t| t.as_secs_f64() * 1e3)),
+            drop_share: match options.drops {
+                Some(Drops::Share(share)) => Some(share),
+                Some(Drops::Every(_)) | None => None,
+            },
+            drop_every_s: match options.drops {
+                Some(Drops::Every(mean)) => Some(mean.as_secs_f64()),
+                Some(Drops::Share(_)) | None => None,
+            },
             seed: options.seed,
         }
     }
@@ -424,6 +483,13 @@ impl fmt::Display for Report {
         row("core, k splits per cpu s", &|part| number(part.splits_per_core_cpu_s.map(|rate| rate / 1e3), 0))?;
         row("core, k ops per cpu s", &|part| number(part.ops_per_core_cpu_s.map(|rate| rate / 1e3), 0))?;
         writeln!(f)?;
+        let dropped = self.dropped_rows();
+        for (name, value) in &dropped {
+            writeln!(f, "{name:<28}{value:>12}")?;
+        }
+        if !dropped.is_empty() {
+            writeln!(f)?;
+        }
         for (name, value) in self.server_rows() {
             writeln!(f, "{name:<28}{value:>12}")?;
         }

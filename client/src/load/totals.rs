@@ -218,6 +218,19 @@ impl Timeline {
     }
 }
 
+/// Connections that broke because that was asked for, and what became of them.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Dropped {
+    pub(super) connections: u64,
+    /// Sessions that went on, and others that began anew.
+    pub(super) resumed: u64,
+    pub(super) begun_anew: u64,
+    /// From the break to the server's answer over the next connection.
+    pub(super) back: Histogram,
+    /// Bytes that came of frames that were not complete.
+    pub(super) cut_off_bytes: u64,
+}
+
 /// Everything. Times in histograms are microseconds, errors millionths of a pixel.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Totals {
@@ -255,6 +268,7 @@ pub(super) struct Totals {
     pub(super) limits_exceeded: u64,
     pub(super) resets: u64,
     pub(super) dropped_batches: u64,
+    pub(super) dropped: Dropped,
 }
 
 impl Totals {

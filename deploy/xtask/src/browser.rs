@@ -5,7 +5,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, bail};
 
-use super::{root, run, target_dir, wasm_cargo, wasm_toolchain};
+use super::{release_programs, root, run, target_dir, wasm_cargo, wasm_toolchain};
 
 /// Which modules are built.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,7 +68,7 @@ pub(super) fn measure(arguments: &[String]) -> Result<()> {
         bail!("no node with npm, or no chromium (CHROMIUM names another): `cargo xtask setup` on Debian");
     }
     build(Modules::All)?;
-    run("cargo", &["build", "--release", "-p", "lodestream-server", "-p", "lodestream-client"], &[])?;
+    let [server, client] = release_programs()?;
     let mut arguments = arguments.to_vec();
     if arguments.first().is_some_and(|what| what == "decode") {
         arguments.extend(["--decoder".into(), decoder()?]);
@@ -76,14 +76,13 @@ pub(super) fn measure(arguments: &[String]) -> Result<()> {
     let folder = root().join("tests/browser");
     let name = folder.to_str().context("the path of the project is not UTF-8")?;
     run("npm", &["--prefix", name, "ci", "--no-audit", "--no-fund"], &[])?;
-    let binary = |name: &str| target_dir().join("release").join(name);
     let status = Command::new("node")
         // Modules are compiled as browsers do after a second, so that short measurements are of that.
         .arg("--no-liftoff")
         .arg(folder.join("measure.mjs"))
         .args(&arguments)
-        .env("SERVER_BIN", binary("lodestream-server"))
-        .env("CLIENT_BIN", binary("lodestream"))
+        .env("SERVER_BIN", server)
+        .env("CLIENT_BIN", client)
         .status()
         .context("cannot run node")?;
     if status.success() { Ok(()) } else { bail!("the measurement failed ({status})") }

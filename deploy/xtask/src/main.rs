@@ -86,11 +86,16 @@ fn demo(args: &[String]) -> Result<()> {
         println!("without a wasm32 toolchain the demo's page has no viewer (cargo xtask setup installs one on Debian)");
     }
     println!("building the server and the client (a few minutes the first time)");
-    run("cargo", &["build", "--release", "-p", "lodestream-server", "-p", "lodestream-client"], &[])?;
-    let binary = target_dir().join("release").join("lodestream-server");
+    let [server, _] = release_programs()?;
     let mut all = vec!["demo"];
     all.extend(args.iter().map(String::as_str));
-    run(binary.to_str().context("the path of the project is not UTF-8")?, &all, &[])
+    run(server.to_str().context("the path of the project is not UTF-8")?, &all, &[])
+}
+
+/// Builds the server and the client as they are shipped and returns where they are.
+fn release_programs() -> Result<[PathBuf; 2]> {
+    run("cargo", &["build", "--release", "-p", "lodestream-server", "-p", "lodestream-client"], &[])?;
+    Ok(["lodestream-server", "lodestream"].map(|name| target_dir().join("release").join(name)))
 }
 
 fn paper(files: &[String]) -> Result<()> {
@@ -105,10 +110,10 @@ fn sessions(arguments: &[String]) -> Result<()> {
     program("session_growth", &[&["--output".to_owned(), folder.to_owned()], arguments].concat())
 }
 
-/// Builds and runs a program of the tests in the caller's folder. Standard output is the program's alone.
+/// Builds and runs a program that measures in the caller's folder. Standard output is the program's alone.
 fn program(name: &str, args: &[String]) -> Result<()> {
     eprintln!("building (minutes the first time)");
-    let packages = ["-p", "lodestream-server", "-p", "lodestream-client", "-p", "lodestream-tests"];
+    let packages = ["-p", "lodestream-server", "-p", "lodestream-client", "-p", "lodestream-measure"];
     let build = ["build", "--release", "--quiet", "--bin", "lodestream-server", "--bin", "lodestream", "--bin", name];
     let built = Command::new("cargo").args(build).args(packages).current_dir(root()).status();
     if !built.context("cannot run cargo")?.success() {
@@ -132,7 +137,8 @@ fn test() -> Result<()> {
     let headless = ["clippy", "-p", "lodestream-client", "--no-default-features"];
     run("cargo", &[&headless[..], &["--features", "net-native", "--", "-D", "warnings"]].concat(), &[])?;
     run("cargo", &[&headless[..], &["--", "-D", "warnings"]].concat(), &[])?;
-    run("cargo", &["build", "--workspace", "--bins"], &[])?;
+    // This builds the programs that the tests run, too. Built by themselves they would lack the features that only tests ask for,
+    // and most of the workspace would be built twice.
     run("cargo", &["test", "--workspace"], &[])?;
     run("cargo", &["doc", "--workspace", "--no-deps", "--quiet"], &[("RUSTDOCFLAGS", "-D warnings")])?;
     if wasm_toolchain() {
@@ -191,7 +197,7 @@ fn wasm_twin() -> Result<()> {
     built("wasm_twin", &[&module])
 }
 
-/// Runs a program that was built with the whole workspace: asked for by itself, cargo would build what it needs once more, with
+/// Runs a program that was built with the tests: asked for by itself, cargo would build what it needs once more, with
 /// fewer features.
 fn built(name: &str, args: &[&str]) -> Result<()> {
     let program = target_dir().join("debug").join(name);

@@ -135,6 +135,7 @@ pub struct Metrics {
     closed: IntCounterVec,
     resumptions: IntCounterVec,
     bytes_sent: IntCounter,
+    bytes_sent_again: IntCounter,
     bytes_received: IntCounter,
     batches: IntCounter,
     views: IntCounter,
@@ -199,6 +200,10 @@ impl Metrics {
             session_bytes: gauge("lodestream_session_memory_bytes", "Memory that sessions hold."),
             admitted: counter("lodestream_admitted_total", "Streams opened."),
             bytes_sent: counter("lodestream_sent_bytes_total", "Bytes of frames sent."),
+            bytes_sent_again: counter(
+                "lodestream_sent_again_bytes_total",
+                "Bytes of batches sent a second time, over connections that took the place of broken ones.",
+            ),
             bytes_received: counter("lodestream_received_bytes_total", "Bytes of frames received."),
             batches: counter("lodestream_batches_total", "Batches sent."),
             views: counter("lodestream_views_total", "Views received."),
@@ -317,6 +322,7 @@ impl Account {
         let (sums, old) = (&self.metrics, std::mem::replace(&mut self.counted, stats));
         for (counter, new, old) in [
             (&sums.bytes_sent, stats.bytes_sent, old.bytes_sent),
+            (&sums.bytes_sent_again, stats.bytes_sent_again, old.bytes_sent_again),
             (&sums.batches, stats.batches, old.batches),
             (&sums.views, stats.views, old.views),
             (&sums.resets, stats.resets, old.resets),
@@ -448,6 +454,7 @@ mod tests {
         let mut other = Account::new(metrics.clone());
         let stats = SessionStats {
             bytes_sent: 1000,
+            bytes_sent_again: 100,
             splits: 30,
             cached_splits: 10,
             heap_bytes: 500,
@@ -460,6 +467,7 @@ mod tests {
         let text = metrics.render(Readings { open_models: 3, pages_read: 9, panics: 1 });
         for (series, expected) in [
             ("lodestream_sent_bytes_total", 1500.0),
+            ("lodestream_sent_again_bytes_total", 100.0),
             ("lodestream_ops_total{kind=\"split\"}", 20.0),
             ("lodestream_ops_total{kind=\"cached_split\"}", 10.0),
             ("lodestream_session_memory_bytes", 207.0),

@@ -183,6 +183,8 @@ pub struct SessionStats {
     pub wakes: u64,
     /// How often the session went on over another connection.
     pub resumes: u64,
+    /// Bytes of batches that were given out once more then; they count in `bytes_sent`, too.
+    pub bytes_sent_again: u64,
     /// Whether the client has acknowledged a batch on this connection: it knows the newest token then.
     pub is_confirmed: bool,
     /// Memory held now.
@@ -401,6 +403,7 @@ impl Session {
         if let Some((seq, frame)) = running.unacknowledged.next_again() {
             running.pacer.on_send(now, seq, frame.len());
             self.stats.bytes_sent += frame.len() as u64;
+            self.stats.bytes_sent_again += frame.len() as u64;
             return Ok(Some(frame));
         }
         if running.view.is_none() {

@@ -122,6 +122,8 @@ fn a_session_resumes_after_any_batch_that_may_be_the_last_to_arrive() {
         let again = &sent[received as usize..];
         assert_eq!(&heard[..again.len()], again, "those after {received} as they were");
         assert_eq!(session.stats().resumes, 1);
+        let bytes: usize = again.iter().map(|message| wire::encode_server(message).len()).sum();
+        assert_eq!(session.stats().bytes_sent_again, bytes as u64);
         // The view in force may be said once more, and only now.
         let (_, view) = first_words();
         let repeated = ClientMessage::View { seq: ViewSeq(1), view };

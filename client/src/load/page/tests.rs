@@ -5,6 +5,7 @@ use fastrand::Rng;
 use super::*;
 use crate::camera::{Detail, Viewport};
 use crate::load::LoadOptions;
+use crate::load::drops::Drops;
 use crate::load::duty::Duty;
 use crate::load::metrics::{Reading, ServerFigures};
 use crate::load::pace::Pace;
@@ -29,6 +30,7 @@ fn options() -> LoadOptions {
         fov_y_rad: 0.8,
         detail: Detail::default(),
         shape: LinkShape::default(),
+        drops: Some(Drops::Share(0.25)),
         seed: 77,
         threads: 0,
         has_error_curves: true,

@@ -4,13 +4,14 @@
 //! Rows are numbers. Without any, all of [`ROWS`] but those that take minutes. Models are the files named; else those of
 //! [`MESHES`] in the folder `LODESTREAM_MESHES`; else generated ones. `--bits` are those of a coordinate, 14 as in the anchors.
 //!
-//! `wire` reads recorded sessions, `in_process` runs both ends in this process, `live` the real binaries, `one_pixel` looks for
+//! `wire` reads recorded sessions, `in_process` runs both ends in this process, `visibility` judges ops, `live` the real binaries, `one_pixel` looks for
 //! the fewest bytes with these. Every figure is of work whose outcome was checked: counts of triangles, digests of both ends,
 //! errors in pixels. Times are processor times, medians of `--runs` runs.
 
 mod in_process;
 mod live;
 mod one_pixel;
+mod visibility;
 mod wire;
 
 use std::cell::Cell;
@@ -27,7 +28,7 @@ use lodestream_tests::source::Source;
 use serde_json::{Map, Value, json};
 
 /// Rows that can be measured, and what they are.
-const ROWS: [(u32, &str); 14] = [
+const ROWS: [(u32, &str); 15] = [
     (1, "bits per split, complete from cold"),
     (2, "bits per split, moving"),
     (3, "bits per cached split and per collapse"),
@@ -37,6 +38,7 @@ const ROWS: [(u32, &str); 14] = [
     (7, "bits per split for colour"),
     (8, "bytes per split in the pack"),
     (11, "time until the first image at 1 Mbit/s, 100 ms"),
+    (12, "node tests, warm, one core"),
     (13, "server, select + mirror + encode"),
     (14, "server time per view update"),
     (16, "client, decode + apply"),
@@ -83,6 +85,7 @@ fn measure(row: u32, subject: &Subject, options: &Options, report: &Report) -> a
         7 => wire::color(subject, report),
         8 => wire::pack(subject, report),
         11 => live::first_image_time(subject, options, report),
+        12 => visibility::measure(subject, options, report),
         13 => in_process::server(subject, options, report),
         14 => in_process::view_updates(subject, report),
         16 => in_process::client(subject, options, report),

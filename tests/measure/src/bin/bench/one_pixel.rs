@@ -5,6 +5,7 @@
 //! cold. `--until bytes:N` would stop at the end of a frame, which is up to half of what these views need. The mesh is judged once
 //! more by `lodestream-server screen-error`. The curve of bytes against error is that of the tolerances of [`CURVE_PX`].
 
+use std::cell::RefCell;
 use std::ffi::OsStr;
 use std::path::Path;
 
@@ -49,7 +50,7 @@ pub(crate) fn measure(subject: &Subject, options: &Options, report: &Report) -> 
             let mut view = View::perspective(eye, original.center(), 45f32.to_radians());
             view.near = original.radius() * 1e-3;
             let shown = original.shown(&view).into_iter().filter(|s| s.is_unoccluded).collect();
-            let search = Search { process, original: &original, view, shown, folder };
+            let search = Search { process, original: &original, view, shown, folder, known: RefCell::default() };
             let (tolerance, stats, error) = search.fewest_bytes()?;
             let again =
                 search.command(&complete)?["unoccluded"]["p999"].as_f64().context("screen-error prints p999")?;
@@ -84,6 +85,8 @@ struct Search<'a> {
     view: View,
     shown: Vec<Shown>,
     folder: &'a TempDir,
+    /// Runs so far: the search comes by some tolerances of the curve.
+    known: RefCell<Vec<(f64, Value, Percentiles)>>,
 }
 
 impl Search<'_> {
@@ -106,7 +109,18 @@ impl Search<'_> {
         Ok(best)
     }
 
+    /// Statistics and error at a tolerance, which is asked for once.
     fn run(&self, tolerance: f64) -> anyhow::Result<(Value, Percentiles)> {
+        let known = self.known.borrow().iter().find(|run| run.0 == tolerance).map(|run| (run.1.clone(), run.2));
+        if let Some(known) = known {
+            return Ok(known);
+        }
+        let (stats, error) = self.ask(tolerance)?;
+        self.known.borrow_mut().push((tolerance, stats.clone(), error));
+        Ok((stats, error))
+    }
+
+    fn ask(&self, tolerance: f64) -> anyhow::Result<(Value, Percentiles)> {
         let (eye, target) = self.pose();
         let mesh = self.folder.join("mesh.ply");
         let tolerance = tolerance.to_string();

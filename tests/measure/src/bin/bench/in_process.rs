@@ -147,17 +147,8 @@ fn check(client: &ClientSession, test: &TestModel) -> anyhow::Result<()> {
 /// Row 6: P* against the ops wanted for their own sake, which the vertex forest alone would need, over random views.
 pub(crate) fn closures(subject: &Subject, options: &Options, report: &Report) -> anyhow::Result<()> {
     let model = &subject.test.model;
-    let (lo, hi) = subject.test.clean.bounding_box().expect("the mesh has vertices");
-    let (lo, hi) = (DVec3::from_array(lo), DVec3::from_array(hi));
-    let (center, radius) = ((lo + hi) / 2.0, (hi - lo).length() / 2.0);
-    let mut rng = Rng::with_seed(6);
     let mut ratios = Vec::new();
-    for _ in 0..options.views {
-        let direction = DVec3::new(rng.f64() - 0.5, rng.f64() - 0.5, rng.f64() - 0.5).normalize_or(DVec3::Z);
-        let eye = center + direction * radius * (0.95 + 2.5 * rng.f64());
-        let mut view = View::perspective(eye, center, 45f32.to_radians());
-        view.near = radius * 1e-3;
-        view.triangle_limit = UNLIMITED_TRIANGLES;
+    for view in random_views(&subject.test, options.views) {
         let scorer = Scorer::new(&view, model.info());
         let mut wanted = 0u32;
         for op in 0..model.op_count() {
@@ -171,6 +162,21 @@ pub(crate) fn closures(subject: &Subject, options: &Options, report: &Report) ->
     let more = json!({"most": most, "views": options.views});
     report.line("6 ops against the vertex-tree minimum, median", &subject.name, median(ratios), "ratio", more);
     Ok(())
+}
+
+/// Views of the model's centre from anywhere, at 0.95 to 3.45 radii.
+pub(crate) fn random_views(test: &TestModel, count: usize) -> Vec<View> {
+    let (lo, hi) = test.clean.bounding_box().expect("the mesh has vertices");
+    let (lo, hi) = (DVec3::from_array(lo), DVec3::from_array(hi));
+    let (center, radius) = ((lo + hi) / 2.0, (hi - lo).length() / 2.0);
+    let mut rng = Rng::with_seed(6);
+    let mut view = || {
+        let direction = DVec3::new(rng.f64() - 0.5, rng.f64() - 0.5, rng.f64() - 0.5).normalize_or(DVec3::Z);
+        let eye = center + direction * radius * (0.95 + 2.5 * rng.f64());
+        let view = View::perspective(eye, center, 45f32.to_radians());
+        View { near: radius * 1e-3, triangle_limit: UNLIMITED_TRIANGLES, ..view }
+    };
+    (0..count).map(|_| view()).collect()
 }
 
 /// Row 22: the real error over random views in units of the tolerance, as `lodestream-server verify --views` prints it.
@@ -187,7 +193,7 @@ pub(crate) fn calibration(subject: &Subject, options: &Options, report: &Report)
 }
 
 /// Processor time that this thread has used.
-fn processor_time() -> Duration {
+pub(crate) fn processor_time() -> Duration {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
     Duration::new(u64::try_from(time.tv_sec).unwrap_or(0), u32::try_from(time.tv_nsec).unwrap_or(0))
 }

@@ -1,8 +1,9 @@
 //! `flight [MINUTES] [FILE...]`: so many virtual minutes of random flight over slow links, both ends and the link in one process.
 //!
-//! Every batch is compared by both ends. What is looked at beside that: whether the memory of both ends keeps growing, whether a
-//! limit is exceeded, and how long a client whose view has not settled hears nothing. One JSON object per link on standard
-//! output, progress on standard error; exit code 1 for a mismatch, for memory that grows, or for a silence that the link does not explain.
+//! Every batch is compared by both ends. What is looked at beside that: whether the memory of both ends keeps growing (from part to
+//! part, and along a line through the last half of an hour or more), whether a limit is exceeded, and how long a client whose view
+//! has not settled hears nothing. One JSON object per link on standard output, progress on standard error; exit code 1 for a
+//! mismatch, for memory that grows, or for a silence that the link does not explain.
 
 use std::collections::{BTreeSet, VecDeque};
 use std::path::PathBuf;
@@ -15,7 +16,7 @@ use lodestream_client::core::ClientConfig;
 use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::View;
 use lodestream_server::ingest::sample;
-use lodestream_server::session::ops_for_view;
+use lodestream_server::session::{SessionConfig, ops_for_view};
 use lodestream_tests::model::TestModel;
 use lodestream_tests::sim::{LinkShape, Pair, PairConfig};
 use lodestream_tests::source::Source;
@@ -27,10 +28,18 @@ static MEMORY: PeakAlloc = PeakAlloc;
 
 /// Between two views.
 const VIEW_INTERVAL: Duration = Duration::from_millis(100);
+const VIEWS_PER_MINUTE: u32 = 600;
 /// Parts of a flight whose memory is compared.
 const PARTS: usize = 6;
 /// By how much the last part may exceed the most of those before it. A flight is random: the last may hold the largest view.
 const GROWTH: f64 = 1.25;
+/// Shorter flights say nothing about memory: what the views ask for varies more than what may leak.
+const LEAST_MINUTES: u32 = 10;
+/// Shorter ones say nothing about its trend.
+const LEAST_MINUTES_OF_TREND: u32 = 60;
+/// By how much a straight line through the last half may rise from its beginning to its end, as a share of what a server allows
+/// a session for a mesh of as many triangles as the limit has.
+const TREND: f64 = 0.05;
 /// What a silence may last beyond a round trip and the largest frame: two views and a little.
 const SLACK: Duration = Duration::from_millis(250);
 
@@ -76,10 +85,12 @@ fn fly(test: &TestModel, name: &str, link: (f64, Duration, u32), minutes: u32) -
     let before = MEMORY.current_usage();
     let mut pair = Pair::new(test.model.clone(), config);
     let mut camera = Camera::new(test, limit);
-    let views = minutes * 600;
+    let views = minutes * VIEWS_PER_MINUTE;
     let started = Instant::now();
     let mut ear = Ear::new(shape);
     let (mut session, mut both) = ([0u64; PARTS], [0usize; PARTS]);
+    // Means of each minute.
+    let (mut session_means, mut both_means) = (vec![0.0; minutes as usize], vec![0.0; minutes as usize]);
     for view in 0..views {
         let next = camera.next_view();
         pair.look(next.clone());
@@ -92,12 +103,16 @@ fn fly(test: &TestModel, name: &str, link: (f64, Duration, u32), minutes: u32) -
             ear.listen(&pair, test)?;
         }
         let part = view as usize * PARTS / views as usize;
-        session[part] = session[part].max(pair.server.stats().heap_bytes);
-        both[part] = both[part].max(MEMORY.current_usage().saturating_sub(before));
-        if view % 6000 == 5999 {
+        let held = (pair.server.stats().heap_bytes, MEMORY.current_usage().saturating_sub(before));
+        session[part] = session[part].max(held.0);
+        both[part] = both[part].max(held.1);
+        let minute = (view / VIEWS_PER_MINUTE) as usize;
+        session_means[minute] += held.0 as f64 / f64::from(VIEWS_PER_MINUTE);
+        both_means[minute] += held.1 as f64 / f64::from(VIEWS_PER_MINUTE);
+        if (view + 1) % (10 * VIEWS_PER_MINUTE) == 0 {
             eprintln!(
                 "{name}, {rate:.0} bit/s: {} of {minutes} min in {:.0} s",
-                (view + 1) / 600,
+                (view + 1) / VIEWS_PER_MINUTE,
                 started.elapsed().as_secs_f64()
             );
         }
@@ -119,8 +134,14 @@ fn fly(test: &TestModel, name: &str, link: (f64, Duration, u32), minutes: u32) -
     if stats.max_triangles_seen > limit {
         wrong.push("the limit was exceeded");
     }
-    if minutes >= 10 && (grows(&session_parts) || grows(&both_parts)) {
+    if minutes >= LEAST_MINUTES && (grows(&session_parts) || grows(&both_parts)) {
         wrong.push("memory keeps growing");
+    }
+    let trends = [&session_means, &both_means].map(|means| rise(&means[means.len() / 2..]));
+    // The client holds about what the server does.
+    let allowed = [1.0, 2.0].map(|ends| TREND * ends * f64::from(limit) * bytes_per_triangle());
+    if minutes >= LEAST_MINUTES_OF_TREND && trends.iter().zip(allowed).any(|(trend, allowed)| *trend > allowed) {
+        wrong.push("memory rises over the last half");
     }
     if ear.stalls > 0 {
         wrong.push("ops were due for longer than the link explains, and nothing came");
@@ -131,10 +152,30 @@ fn fly(test: &TestModel, name: &str, link: (f64, Duration, u32), minutes: u32) -
         "resets": stats.resets, "most_triangles": stats.max_triangles_seen,
         "longest_silence_ms": ear.longest.as_secs_f64() * 1e3, "explained_ms": ear.explained(&pair).as_secs_f64() * 1e3,
         "stalls": ear.stalls,
-        "session_bytes": session, "both_ends_bytes": both, "wrong": wrong,
+        "session_bytes": session, "both_ends_bytes": both,
+        "session_bytes_rise": trends[0], "both_ends_bytes_rise": trends[1], "rise_allowed": allowed, "wrong": wrong,
     });
     println!("{line}");
     Ok(wrong.is_empty())
+}
+
+/// What a server allows a session for a triangle.
+fn bytes_per_triangle() -> f64 {
+    let config = SessionConfig::default();
+    config.max_bytes as f64 / f64::from(config.triangles())
+}
+
+/// By how much the straight line that fits best rises from the first value to the last.
+fn rise(values: &[f64]) -> f64 {
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let (mut products, mut squares) = (0.0, 0.0);
+    for (i, value) in values.iter().enumerate() {
+        let x = i as f64 - (count - 1.0) / 2.0;
+        products += x * (value - mean);
+        squares += x * x;
+    }
+    if squares > 0.0 { products / squares * (count - 1.0) } else { 0.0 }
 }
 
 /// Listens for silences of a server that owes something.
