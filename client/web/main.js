@@ -103,7 +103,7 @@ function run(module, screen) {
     sockets[which] = socket;
     socket.listen(guarded((what, value) => {
       if (sockets[which] !== socket) return;
-      if (what === 'open') page.opened(now(), which);
+      if (what === 'open') page.opened(which);
       else if (what === 'frame') page.frame(now(), which, value);
       else {
         sockets[which] = null;

@@ -31,7 +31,7 @@ use lodestream_protocol::wire::{self, WireError};
 
 use inbox::{Inbox, Item};
 use reconnect::Backoff;
-pub use reconnect::Connectivity;
+pub use reconnect::{Connectivity, GOOD_CONNECTION};
 pub use stats::{FIRST_IMAGE_TRIANGLES, Stats};
 
 /// Resets after which the session gives up, unless enough batches went well in between.
@@ -129,8 +129,8 @@ pub struct ClientSession {
     connectivity: Connectivity,
     backoff: Backoff,
     is_hello_sent: bool,
-    /// Whether the server's first word on this connection is still to come, and whether it may be that the session goes on.
-    awaits_answer: bool,
+    /// When the server's first word on this connection came, and whether it may be that the session goes on.
+    answered_at: Option<Timestamp>,
     may_resume: bool,
     /// The newest that the server gave.
     token: Option<Token>,
@@ -165,7 +165,7 @@ impl ClientSession {
             connectivity: Connectivity::default(),
             backoff: Backoff::new(config.reconnect_seed),
             is_hello_sent: false,
-            awaits_answer: true,
+            answered_at: None,
             may_resume: false,
             token: None,
             kept: None,
@@ -218,20 +218,20 @@ impl ClientSession {
         let message = wire::decode_server(frame)?;
         self.stats.frames += 1;
         match message {
-            ServerMessage::Welcome { .. } if !self.awaits_answer => return Err(ClientError::OutOfTurn("a welcome")),
+            ServerMessage::Welcome { .. } if !self.awaits_answer() => return Err(ClientError::OutOfTurn("a welcome")),
             ServerMessage::Welcome { model, cache_entries, token, base } => {
                 self.begin(now, model, cache_entries, &base)?;
                 self.token = token;
             }
-            ServerMessage::Resumed { .. } if !(self.awaits_answer && self.may_resume) => {
+            ServerMessage::Resumed { .. } if !(self.awaits_answer() && self.may_resume) => {
                 return Err(ClientError::OutOfTurn("a resumption"));
             }
             ServerMessage::Resumed { token } => {
                 self.token = Some(token);
-                self.answered(Connectivity::Resumed);
+                self.answered(now, Connectivity::Resumed);
                 self.stats.resumed += 1;
             }
-            _ if self.awaits_answer => return Err(ClientError::OutOfTurn("something before its welcome")),
+            _ if self.awaits_answer() => return Err(ClientError::OutOfTurn("something before its welcome")),
             ServerMessage::Batch(batch) => self.inbox.push(Item::Batch(batch)),
             ServerMessage::Settled(settled) => self.inbox.push(Item::Settled(settled)),
             ServerMessage::Restart => self.inbox.push(Item::Restart),
@@ -264,13 +264,17 @@ impl ClientSession {
     }
 
     /// The connection broke, or one could not be made. What has arrived stays, and so does the mesh; what was to be said is said
-    /// anew over the next connection, which begins with [`poll_transmit`](Self::poll_transmit) once it is open.
+    /// anew over the next connection, which begins with [`poll_transmit`](Self::poll_transmit) once it is open. Waits grow until a
+    /// connection [has lasted](Self::has_lasted).
     pub fn handle_loss(&mut self, now: Timestamp) {
         let is_first = !matches!(self.connectivity, Connectivity::Reconnecting { .. });
+        if self.has_lasted(now) {
+            self.backoff.restart();
+        }
         self.stats.connections_lost += u32::from(is_first && self.model.is_some());
         self.connectivity = self.backoff.next(now);
         self.is_hello_sent = false;
-        self.awaits_answer = true;
+        self.answered_at = None;
         self.may_resume = false;
         // What the claim names counts as acknowledged, and it says whether a restart is wanted.
         self.ack_due = None;
@@ -290,14 +294,22 @@ impl ClientSession {
         self.resets_in_a_row = 0;
     }
 
-    /// Other settings. What the server is to know of them it hears at the next connection, with the first message.
+    /// Other settings. What the server is to know of them it hears at the next connection, with the first message. To make that one at
+    /// once is no fault of the server: it does not lengthen waits.
     pub fn reconfigure(&mut self, config: ClientConfig) {
         self.config = config;
+        self.backoff.restart();
     }
 
     /// How the session stands with its server.
     pub fn connectivity(&self) -> Connectivity {
         self.connectivity
+    }
+
+    /// Whether the connection is a good one: the server answered on it, and it has lasted [`GOOD_CONNECTION`] since. One that greets and
+    /// fails at once is not.
+    pub fn has_lasted(&self, now: Timestamp) -> bool {
+        self.answered_at.is_some_and(|at| now.since(at) >= GOOD_CONNECTION)
     }
 
     /// Whether the session went on after its connection broke the last time.
@@ -346,10 +358,10 @@ impl ClientSession {
             return Some(ClientMessage::Resume(Resume { hello, token, received }));
         }
         // Before the server has said whether the session goes on, the numbers of batches may mean nothing to it.
-        if let Some(seq) = self.ack_due.take_if(|_| !self.awaits_answer) {
+        if let Some(seq) = self.ack_due.take_if(|_| self.answered_at.is_some()) {
             return Some(ClientMessage::Ack { seq });
         }
-        if let Some(seq) = self.reset_due.take_if(|_| !self.awaits_answer) {
+        if let Some(seq) = self.reset_due.take_if(|_| self.answered_at.is_some()) {
             return Some(ClientMessage::Reset { seq });
         }
         let is_due = self.poll_timeout().is_some_and(|at| at <= now);
@@ -444,13 +456,13 @@ impl ClientSession {
         match before {
             None => {
                 self.generation = self.generation.wrapping_add(1);
-                self.answered(Connectivity::Connected);
+                self.answered(now, Connectivity::Connected);
             }
             Some(before) => {
                 self.stats.restarted += 1;
                 // One that was kept already is the better one.
                 self.kept.get_or_insert(before);
-                self.answered(Connectivity::Restarting);
+                self.answered(now, Connectivity::Restarting);
                 self.unsettle();
             }
         }
@@ -458,10 +470,13 @@ impl ClientSession {
         Ok(())
     }
 
-    fn answered(&mut self, connectivity: Connectivity) {
-        self.awaits_answer = false;
+    fn answered(&mut self, now: Timestamp, connectivity: Connectivity) {
+        self.answered_at = Some(now);
         self.connectivity = connectivity;
-        self.backoff.succeed();
+    }
+
+    fn awaits_answer(&self) -> bool {
+        self.answered_at.is_none()
     }
 
     /// Shows the new mesh if it is as good as the one from before, as far as can be told here: what the view asks for, or as many

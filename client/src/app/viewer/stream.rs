@@ -20,14 +20,14 @@ impl Viewer {
         }
         self.session = session;
         self.sent_bytes = hello.len() as u64;
-        self.line.handle_open(now);
+        self.line.handle_open();
         true
     }
 
     /// A connection is open.
-    pub fn handle_open(&mut self, now: Timestamp, wire: Wire) {
+    pub fn handle_open(&mut self, wire: Wire) {
         match (wire, &mut self.probe) {
-            (Wire::Main, _) => self.line.handle_open(now),
+            (Wire::Main, _) => self.line.handle_open(),
             (Wire::Probe, Some((_, is_open))) => *is_open = true,
             (Wire::Probe, None) => self.requests.push_back(Request::Close(Wire::Probe)),
         }

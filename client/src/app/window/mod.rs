@@ -235,7 +235,7 @@ impl App {
         for wire in [Wire::Main, Wire::Probe] {
             while let Some(incoming) = self.socket(wire).as_mut().and_then(Socket::poll) {
                 match incoming {
-                    Incoming::Open => self.viewer.handle_open(now, wire),
+                    Incoming::Open => self.viewer.handle_open(wire),
                     Incoming::Frame(frame) => self.viewer.handle_frame(now, wire, &frame),
                     Incoming::Ended(ending) => {
                         *self.socket(wire) = None;
