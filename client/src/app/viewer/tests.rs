@@ -216,6 +216,26 @@ fn uploads_stop_at_the_allowance_and_go_on_with_the_next_image() {
 }
 
 #[test]
+fn a_batch_over_the_allowance_has_an_image_to_itself() {
+    let (mut viewer, mut server) = settled();
+    draw(&mut viewer, at(300));
+    viewer.allowance.bytes = 3000;
+    let before = viewer.session.stats().batches;
+    for splits in [1, 100, 1] {
+        viewer.handle_frame(at(400), Wire::Main, &server.batch(ViewSeq(1), splits));
+    }
+    let mut images = Vec::new();
+    for k in 0..3 {
+        assert!(viewer.tick(at(401 + k)).draw);
+        let is_over = viewer.planned_bytes() > Some(viewer.allowance.bytes);
+        images.push((viewer.session.stats().batches - before, is_over));
+        draw(&mut viewer, at(401 + k));
+    }
+    assert_eq!(images, [(1, false), (2, true), (3, false)], "batches applied, and whether they are too much");
+    assert_eq!(viewer.figures(at(404)).triangles, server.replica().triangle_count());
+}
+
+#[test]
 fn limits_follow_settings_memory_and_the_model() {
     let (mut viewer, _) = settled();
     let mut limit = |key: &str, value: &str| {
