@@ -1,9 +1,10 @@
 use glam::DVec3;
 use lodestream_protocol::ids::ModelHash;
-use lodestream_protocol::message::ClientMessage;
+use lodestream_protocol::message::{Batch, ClientMessage};
 use lodestream_protocol::testing::check_replica;
 use lodestream_protocol::wire::{decode_client, encode_server};
 
+use super::apply::MAX_RESETS;
 use super::*;
 use crate::fake_server::{FakeServer, TOKEN};
 
