@@ -62,6 +62,9 @@ struct ViewArgs {
     /// Play this recording when all detail is shown, and end with figures of its images as JSON on standard output
     #[arg(long, value_name = "FILE", conflicts_with = "picture")]
     play: Option<PathBuf>,
+    /// Lose the graphics device before the picture is written: for tests
+    #[arg(long, hide = true, requires = "picture")]
+    lose_device: bool,
 }
 
 #[derive(Args)]
@@ -230,6 +233,7 @@ fn run_view(args: ViewArgs) -> anyhow::Result<()> {
         folder: args.folder,
         picture: args.picture,
         play: args.play,
+        loses_device: args.lose_device,
     })?;
     if let Some(report) = report {
         println!("{}", serde_json::to_string(&report)?);

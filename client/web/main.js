@@ -44,7 +44,15 @@ const early = /[#&](triangles|rate|memory)=/.test(location.hash) ? null : new So
 // Whether drawing is done without a graphics card.
 let isSlow = false;
 
+// The first image of the page has the model's picture in it: what comes next would take its time from it. A page that is not
+// looked at has no images.
+const painted = Promise.race([
+  new Promise((resolve) => { requestAnimationFrame(() => setTimeout(resolve)); }),
+  new Promise((resolve) => { setTimeout(resolve, 250); }),
+]);
+
 async function load() {
+  await painted;
   const adapter = await navigator.gpu?.requestAdapter().catch(() => null);
   isSlow = !adapter || Boolean(adapter.info?.isFallbackAdapter ?? adapter.isFallbackAdapter) || /swiftshader|llvmpipe/i.test(adapter.info?.architecture ?? '');
   const name = adapter ? 'webgpu' : 'webgl';
@@ -54,7 +62,7 @@ async function load() {
   } catch {
     throw adapter
       ? 'The viewer could not be loaded.'
-      : 'This browser has no WebGPU, and this server has no viewer without it.';
+      : `${isSecureContext ? 'This browser has no WebGPU' : 'Browsers have WebGPU only over https or on the same computer'}, and this server has no viewer without it.`;
   }
   await module.default({ module_or_path: new URL(`./${name}.wasm`, import.meta.url) });
   return module;
@@ -103,7 +111,7 @@ function run(module, screen) {
     sockets[which] = socket;
     socket.listen(guarded((what, value) => {
       if (sockets[which] !== socket) return;
-      if (what === 'open') page.opened(now(), which);
+      if (what === 'open') page.opened(which);
       else if (what === 'frame') page.frame(now(), which, value);
       else {
         sockets[which] = null;
@@ -260,8 +268,9 @@ function run(module, screen) {
   });
   element('share').onclick = guarded(async () => {
     history.replaceState(null, '', `#${(lastLink = page.link())}`);
-    await navigator.clipboard?.writeText(location.href).catch(() => {});
-    notice('The address in the address bar is a link to this view; it is copied.');
+    // Browsers let pages that came without encryption from elsewhere copy nothing.
+    const isCopied = await navigator.clipboard?.writeText(location.href).then(() => true, () => false);
+    notice(isCopied ? 'The link to this view is copied.' : 'The link to this view is in the address bar.');
   });
   // For tests and for the curious.
   window.lodestream = { figures: () => Array.from(page.figures(now())), marks: () => Array.from(page.marks()), distance: () => page.distance(), settings: () => page.settings(), link: () => page.link(), device: () => device };

@@ -87,6 +87,13 @@ fn the_window_shows_what_snapshot_draws() {
     assert!(a.len() == b.len() && off <= Some(2), "{off:?}");
     assert!(a.iter().any(|&byte| byte > 150), "something is to be seen");
 
+    // A device that is lost gives way to another, which draws the same.
+    let again = folder.join("again.png");
+    let args = [&plain, "--size", "320x240", "--lose-device", "--picture", again.to_str().expect("plain")];
+    let output = display.view(folder.path(), &args);
+    assert!(output.status.success(), "{}", described(&output));
+    assert_eq!(pixels(&again).2, a, "what the new device draws");
+
     // A link to a view is one argument: with its part after the #.
     let edges = folder.join("edges.png");
     let link = format!("{url}#wireframe=on&occlusion=off");

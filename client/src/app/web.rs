@@ -158,8 +158,8 @@ impl Page {
     }
 
     /// A socket is open.
-    pub fn opened(&mut self, now_ms: f64, socket: u32) {
-        self.viewer.handle_open(at(now_ms), wire(socket));
+    pub fn opened(&mut self, socket: u32) {
+        self.viewer.handle_open(wire(socket));
     }
 
     /// A socket brought a frame.

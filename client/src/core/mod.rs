@@ -12,6 +12,7 @@
 //! [time to try again](Connectivity::Reconnecting), and goes on with the new connection as with the old one; when that cannot be
 //! made, it calls [`handle_loss`](ClientSession::handle_loss) again.
 
+mod apply;
 mod inbox;
 mod reconnect;
 mod stats;
@@ -19,25 +20,18 @@ mod stats;
 use std::time::Duration;
 
 use lodestream_protocol::ids::{BatchSeq, Token, ViewSeq};
-use lodestream_protocol::limits::{MAX_CACHE_ENTRIES, MAX_TEXT_BYTES};
+use lodestream_protocol::limits::MAX_CACHE_ENTRIES;
 use lodestream_protocol::mesh::{Patch, PatchError, Replica};
-use lodestream_protocol::message::{
-    Batch, ClientMessage, Hello, ModelInfo, PROTOCOL_VERSION, Resume, ServerMessage, Settled,
-};
-use lodestream_protocol::op::{OpState, PatchDecodeError, decode_base, decode_batch};
+use lodestream_protocol::message::{ClientMessage, Hello, ModelInfo, PROTOCOL_VERSION, Resume, ServerMessage, Settled};
+use lodestream_protocol::op::{OpState, PatchDecodeError};
 use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::{View, ViewError};
 use lodestream_protocol::wire::{self, WireError};
 
 use inbox::{Inbox, Item};
 use reconnect::Backoff;
-pub use reconnect::Connectivity;
+pub use reconnect::{Connectivity, GOOD_CONNECTION};
 pub use stats::{FIRST_IMAGE_TRIANGLES, Stats};
-
-/// Resets after which the session gives up, unless enough batches went well in between.
-const MAX_RESETS: u32 = 4;
-/// Batches in a row that must go well before earlier resets are forgiven.
-const FORGIVING_BATCHES: u32 = 64;
 
 /// How a session behaves. All queues are bounded by what stands here.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -129,8 +123,8 @@ pub struct ClientSession {
     connectivity: Connectivity,
     backoff: Backoff,
     is_hello_sent: bool,
-    /// Whether the server's first word on this connection is still to come, and whether it may be that the session goes on.
-    awaits_answer: bool,
+    /// When the server's first word on this connection came, and whether it may be that the session goes on.
+    answered_at: Option<Timestamp>,
     may_resume: bool,
     /// The newest that the server gave.
     token: Option<Token>,
@@ -165,7 +159,7 @@ impl ClientSession {
             connectivity: Connectivity::default(),
             backoff: Backoff::new(config.reconnect_seed),
             is_hello_sent: false,
-            awaits_answer: true,
+            answered_at: None,
             may_resume: false,
             token: None,
             kept: None,
@@ -218,20 +212,20 @@ impl ClientSession {
         let message = wire::decode_server(frame)?;
         self.stats.frames += 1;
         match message {
-            ServerMessage::Welcome { .. } if !self.awaits_answer => return Err(ClientError::OutOfTurn("a welcome")),
+            ServerMessage::Welcome { .. } if !self.awaits_answer() => return Err(ClientError::OutOfTurn("a welcome")),
             ServerMessage::Welcome { model, cache_entries, token, base } => {
                 self.begin(now, model, cache_entries, &base)?;
                 self.token = token;
             }
-            ServerMessage::Resumed { .. } if !(self.awaits_answer && self.may_resume) => {
+            ServerMessage::Resumed { .. } if !(self.awaits_answer() && self.may_resume) => {
                 return Err(ClientError::OutOfTurn("a resumption"));
             }
             ServerMessage::Resumed { token } => {
                 self.token = Some(token);
-                self.answered(Connectivity::Resumed);
+                self.answered(now, Connectivity::Resumed);
                 self.stats.resumed += 1;
             }
-            _ if self.awaits_answer => return Err(ClientError::OutOfTurn("something before its welcome")),
+            _ if self.awaits_answer() => return Err(ClientError::OutOfTurn("something before its welcome")),
             ServerMessage::Batch(batch) => self.inbox.push(Item::Batch(batch)),
             ServerMessage::Settled(settled) => self.inbox.push(Item::Settled(settled)),
             ServerMessage::Restart => self.inbox.push(Item::Restart),
@@ -264,13 +258,17 @@ impl ClientSession {
     }
 
     /// The connection broke, or one could not be made. What has arrived stays, and so does the mesh; what was to be said is said
-    /// anew over the next connection, which begins with [`poll_transmit`](Self::poll_transmit) once it is open.
+    /// anew over the next connection, which begins with [`poll_transmit`](Self::poll_transmit) once it is open. Waits grow until a
+    /// connection [has lasted](Self::has_lasted).
     pub fn handle_loss(&mut self, now: Timestamp) {
         let is_first = !matches!(self.connectivity, Connectivity::Reconnecting { .. });
+        if self.has_lasted(now) {
+            self.backoff.restart();
+        }
         self.stats.connections_lost += u32::from(is_first && self.model.is_some());
         self.connectivity = self.backoff.next(now);
         self.is_hello_sent = false;
-        self.awaits_answer = true;
+        self.answered_at = None;
         self.may_resume = false;
         // What the claim names counts as acknowledged, and it says whether a restart is wanted.
         self.ack_due = None;
@@ -290,14 +288,22 @@ impl ClientSession {
         self.resets_in_a_row = 0;
     }
 
-    /// Other settings. What the server is to know of them it hears at the next connection, with the first message.
+    /// Other settings. What the server is to know of them it hears at the next connection, with the first message. To make that one at
+    /// once is no fault of the server: it does not lengthen waits.
     pub fn reconfigure(&mut self, config: ClientConfig) {
         self.config = config;
+        self.backoff.restart();
     }
 
     /// How the session stands with its server.
     pub fn connectivity(&self) -> Connectivity {
         self.connectivity
+    }
+
+    /// Whether the connection is a good one: the server answered on it, and it has lasted [`GOOD_CONNECTION`] since. One that greets and
+    /// fails at once is not.
+    pub fn has_lasted(&self, now: Timestamp) -> bool {
+        self.answered_at.is_some_and(|at| now.since(at) >= GOOD_CONNECTION)
     }
 
     /// Whether the session went on after its connection broke the last time.
@@ -346,10 +352,10 @@ impl ClientSession {
             return Some(ClientMessage::Resume(Resume { hello, token, received }));
         }
         // Before the server has said whether the session goes on, the numbers of batches may mean nothing to it.
-        if let Some(seq) = self.ack_due.take_if(|_| !self.awaits_answer) {
+        if let Some(seq) = self.ack_due.take_if(|_| self.answered_at.is_some()) {
             return Some(ClientMessage::Ack { seq });
         }
-        if let Some(seq) = self.reset_due.take_if(|_| !self.awaits_answer) {
+        if let Some(seq) = self.reset_due.take_if(|_| self.answered_at.is_some()) {
             return Some(ClientMessage::Reset { seq });
         }
         let is_due = self.poll_timeout().is_some_and(|at| at <= now);
@@ -424,181 +430,9 @@ impl ClientSession {
         &self.stats
     }
 
-    fn begin(&mut self, now: Timestamp, info: ModelInfo, cache_entries: u32, base: &[u8]) -> Result<(), ClientError> {
-        check_model(&info)?;
-        if cache_entries > MAX_CACHE_ENTRIES {
-            return Err(ClientError::BadModel("cache size"));
-        }
-        let base = decode_base(base, info.lattice.bits, info.has_colors)?;
-        let state = OpState::new(&base, info.lattice.bits, info.has_colors, info.has_moves, cache_entries)?
-            .with_step(info.visual_step);
-        let model = Model { info, base, cache_entries, state };
-        let before = self.model.replace(model);
-        self.inbox = Inbox::default();
-        self.applied = BatchSeq(0);
-        (self.limit, self.lambda_px) = (None, None);
-        self.awaits_restart = false;
-        (self.ack_due, self.reset_due) = (None, None);
-        self.batches_since_reset = 0;
-        self.applied_view = None;
-        match before {
-            None => {
-                self.generation = self.generation.wrapping_add(1);
-                self.answered(Connectivity::Connected);
-            }
-            Some(before) => {
-                self.stats.restarted += 1;
-                // One that was kept already is the better one.
-                self.kept.get_or_insert(before);
-                self.answered(Connectivity::Restarting);
-                self.unsettle();
-            }
-        }
-        self.note_mesh(now);
-        Ok(())
+    fn awaits_answer(&self) -> bool {
+        self.answered_at.is_none()
     }
-
-    fn answered(&mut self, connectivity: Connectivity) {
-        self.awaits_answer = false;
-        self.connectivity = connectivity;
-        self.backoff.succeed();
-    }
-
-    /// Shows the new mesh if it is as good as the one from before, as far as can be told here: what the view asks for, or as many
-    /// triangles. A mesh of another model goes at once.
-    fn compare(&mut self) {
-        let (Some(kept), Some(model)) = (&self.kept, &self.model) else { return };
-        let is_same = kept.info.hash == model.info.hash && kept.info.lattice == model.info.lattice;
-        let is_as_large = model.state.replica().triangle_count() >= kept.state.replica().triangle_count();
-        if is_same && self.settled.is_none() && !is_as_large {
-            return;
-        }
-        let is_tracked = self.kept.take().is_some_and(|mut kept| kept.state.replica_mut().dirty_mut().is_some());
-        if let Some(model) = self.model.as_mut().filter(|_| is_tracked) {
-            model.state.replica_mut().track_dirty();
-        }
-        self.generation = self.generation.wrapping_add(1);
-        if self.connectivity == Connectivity::Restarting {
-            self.connectivity = Connectivity::Connected;
-        }
-    }
-
-    fn restart(&mut self, now: Timestamp) -> Result<(), ClientError> {
-        let Model { info, base, cache_entries, state } = self.model.as_mut().expect("the inbox opens with the welcome");
-        let is_tracked = state.replica_mut().dirty_mut().is_some();
-        *state = OpState::new(base, info.lattice.bits, info.has_colors, info.has_moves, *cache_entries)?
-            .with_step(info.visual_step);
-        if is_tracked {
-            state.replica_mut().track_dirty();
-        }
-        if self.kept.is_none() {
-            self.generation = self.generation.wrapping_add(1);
-        }
-        self.awaits_restart = false;
-        self.applied = BatchSeq(0);
-        (self.limit, self.lambda_px) = (None, None);
-        self.batches_since_reset = 0;
-        // Batches before the restart are of no interest any more, and their numbers come again.
-        self.ack_due = None;
-        self.unsettle();
-        self.note_mesh(now);
-        Ok(())
-    }
-
-    fn apply(&mut self, now: Timestamp, batch: &Batch) -> Result<u32, ClientError> {
-        let next = BatchSeq(self.applied.0.wrapping_add(1));
-        self.limit = batch.limit.or(self.limit);
-        self.lambda_px = batch.lambda_px.or(self.lambda_px);
-        let state = &mut self.model.as_mut().expect("the inbox opens with the welcome").state;
-        let Some(limit) = self.limit.filter(|_| batch.seq == next.low()) else { return self.disagree(next) };
-        let result = decode_batch(&batch.ops, state, limit);
-        let digest = state.replica().digest() as u32;
-        let counts = match result {
-            Ok(counts) if digest == batch.digest => counts,
-            _ => {
-                self.note_mesh(now);
-                return self.disagree(next);
-            }
-        };
-        self.applied = next;
-        let view = self.current.as_ref().map_or(ViewSeq(0), |current| current.seq.newest(batch.view));
-        self.applied_view = Some(view);
-        self.ack_due = Some(next);
-        self.batches_since_reset = self.batches_since_reset.saturating_add(1);
-        if self.batches_since_reset >= FORGIVING_BATCHES {
-            self.resets_in_a_row = 0;
-        }
-        self.stats.count(batch.ops.len(), &counts);
-        // Ops after a settled state are on the way to another one, whichever view they were chosen for.
-        self.unsettle();
-        self.stats.error_px = self.lambda_px;
-        if let Some(current) = &self.current
-            && current.seq == view
-            && self.stats.view_latency_ms.is_none()
-        {
-            self.stats.view_latency_ms = Some(now.since(current.set_at).as_secs_f64() * 1e3);
-        }
-        self.note_mesh(now);
-        if let Some(outcome) = batch.outcome {
-            self.settle(now, Settled { view, seq: next, outcome })?;
-        }
-        Ok(counts.total())
-    }
-
-    fn settle(&mut self, now: Timestamp, settled: Settled) -> Result<(), ClientError> {
-        if settled.seq != self.applied {
-            self.disagree(settled.seq)?;
-            return Ok(());
-        }
-        if self.current.as_ref().is_none_or(|current| current.seq != settled.view) {
-            return Ok(());
-        }
-        self.settled = Some(settled);
-        self.stats.settled = true;
-        self.stats.limited = settled.outcome.limited;
-        self.stats.error_px = Some(settled.outcome.error_px);
-        self.stats.settled_ms = Some(stats::millis(now));
-        self.note_mesh(now);
-        Ok(())
-    }
-
-    /// The two ends hold different meshes: everything until the server's restart is of no use.
-    fn disagree(&mut self, seq: BatchSeq) -> Result<u32, ClientError> {
-        self.stats.resets += 1;
-        self.resets_in_a_row += 1;
-        if self.resets_in_a_row > MAX_RESETS {
-            return Err(ClientError::Disagreement { resets: self.stats.resets });
-        }
-        self.awaits_restart = true;
-        self.reset_due = Some(seq);
-        self.unsettle();
-        Ok(0)
-    }
-
-    fn unsettle(&mut self) {
-        self.settled = None;
-        self.stats.settled = false;
-        self.stats.limited = false;
-        self.stats.settled_ms = None;
-    }
-
-    fn note_mesh(&mut self, now: Timestamp) {
-        self.compare();
-        let Some(model) = &self.model else { return };
-        let replica = model.state.replica();
-        self.stats.note_mesh(now, replica.vertex_count(), replica.triangle_count());
-    }
-}
-
-/// Checks every number that the client computes with.
-fn check_model(info: &ModelInfo) -> Result<(), ClientError> {
-    let check = |ok: bool, field| if ok { Ok(()) } else { Err(ClientError::BadModel(field)) };
-    check(info.lattice.is_valid(), "lattice")?;
-    let max = info.lattice.max_coordinate();
-    let fits = |k: usize| 0 <= info.box_min[k] && info.box_min[k] <= info.box_max[k] && info.box_max[k] <= max;
-    check((0..3).all(fits), "box")?;
-    check(info.title.len() <= MAX_TEXT_BYTES, "title")?;
-    check(info.crease_angle_deg.is_finite(), "crease angle")
 }
 
 #[cfg(test)]

@@ -8,6 +8,9 @@ use lodestream_protocol::time::Timestamp;
 const FIRST_WAIT: Duration = Duration::from_millis(250);
 /// Longest wait of all.
 const LONGEST_WAIT: Duration = Duration::from_secs(15);
+/// A connection on which the server answered and that lasted so long was a good one: the waits begin anew after it. A server that
+/// greets and fails at once would otherwise be asked again without end, and by all of its clients.
+pub const GOOD_CONNECTION: Duration = Duration::from_secs(5);
 
 /// How a session stands with its server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -19,7 +22,7 @@ pub enum Connectivity {
     Connected,
     /// The connection broke.
     Reconnecting {
-        /// Tries since it broke, from 1.
+        /// Tries since a good connection broke, from 1.
         attempt: u32,
         /// When this one is due.
         next_try: Timestamp,
@@ -52,8 +55,8 @@ impl Backoff {
         Connectivity::Reconnecting { attempt: self.attempts, next_try: now + wait }
     }
 
-    /// The server answers.
-    pub(super) fn succeed(&mut self) {
+    /// What broke was a good connection.
+    pub(super) fn restart(&mut self) {
         self.attempts = 0;
     }
 }
@@ -84,7 +87,7 @@ mod tests {
         assert_ne!(first, waits(2, 100), "clients do not move in step");
         let mut backoff = Backoff::new(1);
         (0..5).for_each(|_| _ = backoff.next(Timestamp::default()));
-        backoff.succeed();
+        backoff.restart();
         assert!(matches!(backoff.next(Timestamp::default()), Connectivity::Reconnecting { attempt: 1, .. }));
     }
 }

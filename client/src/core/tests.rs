@@ -1,9 +1,10 @@
 use glam::DVec3;
 use lodestream_protocol::ids::ModelHash;
-use lodestream_protocol::message::ClientMessage;
+use lodestream_protocol::message::{Batch, ClientMessage};
 use lodestream_protocol::testing::check_replica;
 use lodestream_protocol::wire::{decode_client, encode_server};
 
+use super::apply::MAX_RESETS;
 use super::*;
 use crate::fake_server::{FakeServer, TOKEN};
 
@@ -307,9 +308,41 @@ fn a_broken_connection_is_made_anew_and_the_session_goes_on() {
     assert_eq!((stats.connections_lost, stats.resumed, stats.restarted, stats.resets), (1, 1, 0, 0));
     assert_eq!(session.generation(), 1, "the same mesh all along");
     // The newest token is shown the next time.
-    session.handle_loss(at(3000));
-    assert_eq!(claim(&mut session, at(4000)), (Token([9; 16]), Some(BatchSeq(4))));
+    session.handle_loss(at(8000));
+    assert_eq!(claim(&mut session, at(9000)), (Token([9; 16]), Some(BatchSeq(4))));
     assert!(matches!(session.connectivity(), Connectivity::Reconnecting { attempt: 1, .. }));
+}
+
+/// Tries of half a minute against a server whose connections break so long after its answer, which brings all that was asked for.
+fn tries_in_half_a_minute(lifetime: Duration) -> u32 {
+    let (mut session, server) = welcomed(ClientConfig::default());
+    let (mut now, mut tries) = (at(10), 0);
+    while now < at(30_010) {
+        session.handle_frame(now, &server.settled(ViewSeq(1))).unwrap();
+        now = now + lifetime;
+        session.handle_loss(now);
+        let Connectivity::Reconnecting { next_try, .. } = session.connectivity() else { panic!() };
+        now = next_try;
+        assert_eq!(claim(&mut session, now).1, Some(BatchSeq(0)));
+        session.handle_frame(now, &resumed()).unwrap();
+        tries += 1;
+    }
+    tries
+}
+
+#[test]
+fn a_server_that_greets_and_fails_is_left_in_peace() {
+    let failing = tries_in_half_a_minute(Duration::from_millis(1));
+    assert!((5..=8).contains(&failing), "waits double as if there were no answer: {failing} tries");
+    // One that is cut now and then is there again at once.
+    assert!((5..=6).contains(&tries_in_half_a_minute(GOOD_CONNECTION)));
+    // A person who changes a setting does not wait either, nor is that held against the server.
+    let (mut session, _) = welcomed(ClientConfig::default());
+    for k in 1..9 {
+        session.reconfigure(ClientConfig::default());
+        session.handle_loss(at(1000 * k));
+        assert!(matches!(session.connectivity(), Connectivity::Reconnecting { attempt: 1, .. }));
+    }
 }
 
 #[test]

@@ -10,8 +10,6 @@ use crate::core::{ClientConfig, ClientSession, Connectivity};
 
 /// How long an attempt may take.
 const OPEN_TIMEOUT: Duration = Duration::from_secs(15);
-/// A connection that brought a mesh and lasted so long was a good one.
-const GOOD: Duration = Duration::from_secs(5);
 /// Faults with no good connection in between after which there is no point in trying again.
 const MAX_FAULTS: u32 = 4;
 /// Letters of a fault that people are shown.
@@ -52,7 +50,7 @@ pub(super) enum Trouble {
 enum Phase {
     Closed,
     Opening { since: Timestamp },
-    Open { since: Timestamp },
+    Open,
 }
 
 /// The connection, without the connection.
@@ -72,7 +70,7 @@ impl Line {
     }
 
     pub(super) fn is_open(&self) -> bool {
-        matches!(self.phase, Phase::Open { .. })
+        matches!(self.phase, Phase::Open)
     }
 
     pub(super) fn trouble(&self) -> Option<&Trouble> {
@@ -108,13 +106,13 @@ impl Line {
     pub(super) fn poll_timeout(&self, session: &ClientSession) -> Option<Timestamp> {
         match self.phase {
             Phase::Opening { since } => Some(since + OPEN_TIMEOUT + Duration::from_millis(1)),
-            Phase::Closed | Phase::Open { .. } => self.due(session),
+            Phase::Closed | Phase::Open => self.due(session),
         }
     }
 
     /// It is open.
-    pub(super) fn handle_open(&mut self, now: Timestamp) {
-        self.phase = Phase::Open { since: now };
+    pub(super) fn handle_open(&mut self) {
+        self.phase = Phase::Open;
     }
 
     /// It brought something that made sense.
@@ -170,10 +168,7 @@ impl Line {
     }
 
     fn close(&mut self, now: Timestamp, session: &ClientSession) {
-        if let Phase::Open { since } = self.phase
-            && session.model().is_some()
-            && now.since(since) > GOOD
-        {
+        if session.has_lasted(now) {
             self.faults = 0;
         }
         self.phase = Phase::Closed;
@@ -222,7 +217,7 @@ mod tests {
     fn each_ending_has_its_answer() {
         let end = |ending: Ending| {
             let (mut line, mut session) = opening();
-            line.handle_open(at(1));
+            line.handle_open();
             line.handle_end(at(2), &ending, &mut session);
             let tries_again = line.poll_timeout(&session).is_some();
             (line.trouble, tries_again)

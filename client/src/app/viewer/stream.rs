@@ -20,14 +20,14 @@ impl Viewer {
         }
         self.session = session;
         self.sent_bytes = hello.len() as u64;
-        self.line.handle_open(now);
+        self.line.handle_open();
         true
     }
 
     /// A connection is open.
-    pub fn handle_open(&mut self, now: Timestamp, wire: Wire) {
+    pub fn handle_open(&mut self, wire: Wire) {
         match (wire, &mut self.probe) {
-            (Wire::Main, _) => self.line.handle_open(now),
+            (Wire::Main, _) => self.line.handle_open(),
             (Wire::Probe, Some((_, is_open))) => *is_open = true,
             (Wire::Probe, None) => self.requests.push_back(Request::Close(Wire::Probe)),
         }
@@ -82,7 +82,9 @@ impl Viewer {
         Some((Wire::Probe, frame))
     }
 
-    /// Applies batches until their uploads fill the allowance. The mesh that is not on screen has no uploads, and its
+    /// Applies batches until their uploads fill the allowance. A batch is applied whole, as it is decoded in one piece and only its end
+    /// says whether both ends agree: one that is larger than the allowance has an image to itself. Servers keep theirs to 4,096 splits, and
+    /// a decoder takes none of more than [`MAX_OPS_PER_BATCH`](lodestream_protocol::limits::MAX_OPS_PER_BATCH) ops. The mesh that is not on screen has no uploads, and its
     /// batches are applied in the same amounts.
     pub(super) fn apply(&mut self, now: Timestamp) {
         let mut unseen = 0;
@@ -105,7 +107,7 @@ impl Viewer {
     }
 
     /// What is to be uploaded for the mesh on screen, if that is the one that batches are applied to.
-    fn planned_bytes(&mut self) -> Option<u64> {
+    pub(super) fn planned_bytes(&mut self) -> Option<u64> {
         if self.session.is_restarting() {
             return None;
         }

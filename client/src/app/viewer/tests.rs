@@ -34,7 +34,7 @@ fn settled() -> (Viewer, FakeServer) {
 /// Opens the main connection to a new server, which refines in rounds and settles.
 fn refine(viewer: &mut Viewer, from_ms: u64, rounds: u64) -> FakeServer {
     let mut server = FakeServer::new();
-    viewer.handle_open(at(from_ms), Wire::Main);
+    viewer.handle_open(Wire::Main);
     assert!(matches!(sent(viewer, at(from_ms))[0], ClientMessage::Hello(_)));
     viewer.handle_frame(at(from_ms), Wire::Main, &server.welcome());
     viewer.tick(at(from_ms));
@@ -81,7 +81,7 @@ fn a_hint_saves_a_round_trip_and_an_early_hello_another() {
     let options = ViewerOptions { hint: Some(hint), ..ViewerOptions::new(VIEWPORT) };
     let mut other = Viewer::new(options.clone());
     other.tick(at(0));
-    other.handle_open(at(1), Wire::Main);
+    other.handle_open(Wire::Main);
     let (_, hello) = other.poll_transmit(at(1)).unwrap();
     let mut viewer = Viewer::new(options.clone());
     assert!(viewer.adopt(at(5), &hello));
@@ -109,7 +109,7 @@ fn the_picture_stays_until_the_new_mesh_is_as_good() {
     assert_eq!(requests(&mut viewer), [Request::Open(Wire::Main)]);
 
     let mut server = FakeServer::new();
-    viewer.handle_open(at(2000), Wire::Main);
+    viewer.handle_open(Wire::Main);
     assert!(matches!(sent(&mut viewer, at(2000))[0], ClientMessage::Resume(_)));
     viewer.handle_frame(at(2001), Wire::Main, &server.welcome());
     viewer.handle_frame(at(2002), Wire::Main, &server.batch(ViewSeq(1), 4));
@@ -141,7 +141,7 @@ fn a_session_goes_on_over_the_next_connection() {
     assert!(wake <= at(660), "{wake:?}");
     viewer.tick(at(660));
     requests(&mut viewer);
-    viewer.handle_open(at(700), Wire::Main);
+    viewer.handle_open(Wire::Main);
     let messages = sent(&mut viewer, at(700));
     let [ClientMessage::Resume(resume), ClientMessage::View { seq: ViewSeq(1), .. }] = &messages[..] else {
         panic!("{messages:?}")
@@ -165,7 +165,7 @@ fn nonsense_makes_the_session_begin_anew() {
     viewer.tick(at(1000));
     assert_eq!(requests(&mut viewer), [Request::Close(Wire::Main), Request::Open(Wire::Main)]);
     assert_eq!(viewer.figures(at(1000)).triangles, server.replica().triangle_count(), "what was seen is still there");
-    viewer.handle_open(at(1001), Wire::Main);
+    viewer.handle_open(Wire::Main);
     assert!(matches!(sent(&mut viewer, at(1001))[0], ClientMessage::Hello(_)));
     viewer.handle_frame(at(1002), Wire::Main, &FakeServer::new().welcome());
     viewer.tick(at(1003));
@@ -216,6 +216,26 @@ fn uploads_stop_at_the_allowance_and_go_on_with_the_next_image() {
 }
 
 #[test]
+fn a_batch_over_the_allowance_has_an_image_to_itself() {
+    let (mut viewer, mut server) = settled();
+    draw(&mut viewer, at(300));
+    viewer.allowance.bytes = 3000;
+    let before = viewer.session.stats().batches;
+    for splits in [1, 100, 1] {
+        viewer.handle_frame(at(400), Wire::Main, &server.batch(ViewSeq(1), splits));
+    }
+    let mut images = Vec::new();
+    for k in 0..3 {
+        assert!(viewer.tick(at(401 + k)).draw);
+        let is_over = viewer.planned_bytes() > Some(viewer.allowance.bytes);
+        images.push((viewer.session.stats().batches - before, is_over));
+        draw(&mut viewer, at(401 + k));
+    }
+    assert_eq!(images, [(1, false), (2, true), (3, false)], "batches applied, and whether they are too much");
+    assert_eq!(viewer.figures(at(404)).triangles, server.replica().triangle_count());
+}
+
+#[test]
 fn limits_follow_settings_memory_and_the_model() {
     let (mut viewer, _) = settled();
     let mut limit = |key: &str, value: &str| {
@@ -229,7 +249,7 @@ fn limits_follow_settings_memory_and_the_model() {
     viewer.command(at(600), Command::Set { key: "rate".into(), value: "9000".into() });
     viewer.tick(at(600));
     assert_eq!(requests(&mut viewer), [Request::Close(Wire::Main), Request::Open(Wire::Main)]);
-    viewer.handle_open(at(601), Wire::Main);
+    viewer.handle_open(Wire::Main);
     let first = sent(&mut viewer, at(601)).remove(0);
     assert!(matches!(first, ClientMessage::Resume(Resume { hello, .. }) if hello.byte_rate == Some(9000)), "{first:?}");
     viewer.command(at(700), Command::Set { key: "rate".into(), value: "much".into() });
@@ -252,7 +272,7 @@ fn a_pick_is_answered_at_once_and_then_exactly() {
     let quick = viewer.marks()[0];
     assert!(!quick.is_exact && viewer.distance().is_none());
     assert_eq!(requests(&mut viewer), [Request::Open(Wire::Probe)]);
-    viewer.handle_open(at(510), Wire::Probe);
+    viewer.handle_open(Wire::Probe);
     viewer.tick(at(510));
     let hello = sent(&mut viewer, at(510));
     assert!(matches!(hello[..], [ClientMessage::Hello(_)]), "{hello:?}");

@@ -2,10 +2,11 @@
 //!
 //! - This file: the window's loop. It moves events to the [`Viewer`] and frames between it and the sockets, and draws when the
 //!   viewer or the panel want to. - `socket`: connections on threads of their own. - `screen`: surface, renderer, panel on the
-//!   GPU. - `panel`: what a person sees and may set.
+//!   GPU. - `device`: another one when it is lost. - `panel`: what a person sees and may set.
 //!
 //! All decisions are the viewer's: this is to a window what `web` is to a page.
 
+mod device;
 mod panel;
 mod rehearsal;
 mod screen;
@@ -33,6 +34,7 @@ use crate::camera::Viewport;
 use crate::camera::gesture::Press;
 use crate::net::target::Target;
 use crate::render::RenderError;
+use device::Bereft;
 use panel::{Surroundings, Wish};
 pub use rehearsal::PlayReport;
 use rehearsal::Rehearsal;
@@ -69,6 +71,8 @@ pub struct WindowOptions {
     pub picture: Option<PathBuf>,
     /// Play this recording when all detail is there, and end with a report.
     pub play: Option<PathBuf>,
+    /// Lose the graphics device once, when all detail is there, and write the picture only after that: for tests.
+    pub loses_device: bool,
 }
 
 /// Why there is no window, or none any more.
@@ -125,6 +129,9 @@ struct App {
     proxy: EventLoopProxy<Woken>,
     sockets: [Option<Socket>; 2],
     opened: Option<Opened>,
+    bereft: Option<Bereft>,
+    /// Devices that gave way to others.
+    devices_lost: u32,
     cursor_px: [f64; 2],
     modifiers: ModifiersState,
     notice: Option<(String, Timestamp)>,
@@ -165,6 +172,8 @@ impl App {
             proxy,
             sockets: [None, None],
             opened: None,
+            bereft: None,
+            devices_lost: 0,
             cursor_px: [0.0; 2],
             modifiers: ModifiersState::empty(),
             notice: None,
@@ -188,40 +197,7 @@ impl App {
             .with_title(format!("{} - Lodestream", self.options.target.model))
             .with_inner_size(winit::dpi::LogicalSize::new(width, height));
         let window = Arc::new(events.create_window(attributes).map_err(|_| WindowError::NoWindow)?);
-        Self::equip(window, egui::Context::default())
-    }
-
-    /// Device and panel for a window.
-    fn equip(window: Arc<Window>, context: egui::Context) -> Result<Opened, WindowError> {
-        let screen = Screen::open(window.clone())?;
-        let input = egui_winit::State::new(
-            context,
-            egui::ViewportId::ROOT,
-            &window,
-            Some(window.scale_factor() as f32),
-            window.theme(),
-            Some(screen.max_texture_side()),
-        );
-        Ok(Opened { device: screen.describe(), window, screen, input })
-    }
-
-    /// Goes on with another device: this one is gone.
-    fn reopen(&mut self, events: &ActiveEventLoop) {
-        let Some(Opened { window, input, screen, .. }) = self.opened.take() else { return };
-        // A window has one surface at a time.
-        drop(screen);
-        // The panel's textures went with the device, and only a new context says them again; what is open stays open.
-        let context = egui::Context::default();
-        context.memory_mut(|memory| *memory = input.egui_ctx().memory(Clone::clone));
-        match Self::equip(window, context) {
-            Ok(opened) => {
-                opened.window.request_redraw();
-                self.opened = Some(opened);
-                self.viewer.redraw();
-                self.notify("the graphics device was lost: drawing goes on with a new one".into());
-            }
-            Err(error) => self.fail(events, error),
-        }
+        Ok(device::equip(window, egui::Context::default())?)
     }
 
     fn fail(&mut self, events: &ActiveEventLoop, error: WindowError) {
@@ -235,7 +211,7 @@ impl App {
         for wire in [Wire::Main, Wire::Probe] {
             while let Some(incoming) = self.socket(wire).as_mut().and_then(Socket::poll) {
                 match incoming {
-                    Incoming::Open => self.viewer.handle_open(now, wire),
+                    Incoming::Open => self.viewer.handle_open(wire),
                     Incoming::Frame(frame) => self.viewer.handle_frame(now, wire, &frame),
                     Incoming::Ended(ending) => {
                         *self.socket(wire) = None;
@@ -397,7 +373,7 @@ impl App {
                 }
             }
             Ok(Painted::Hidden) => self.hidden_until = Some(now + HIDDEN_PAUSE),
-            Ok(Painted::Lost) => return self.reopen(events),
+            Ok(Painted::Lost) => return self.lose_device(events),
             Err(error) => return self.fail(events, error.into()),
         }
         wishes.into_iter().for_each(|wish| self.grant(wish));
@@ -422,6 +398,15 @@ impl App {
 
     fn finish_picture(&mut self, events: &ActiveEventLoop) {
         let Some(path) = self.options.picture.clone() else { return };
+        if self.options.loses_device && self.devices_lost == 0 {
+            if let State::Settled { .. } = self.viewer.state()
+                && let Some(opened) = &self.opened
+            {
+                opened.screen.lose_device();
+                self.panel_due = Some(self.now());
+            }
+            return;
+        }
         let result = match self.viewer.state() {
             State::Settled { .. } => self.write_picture(&path),
             State::Gone | State::Failed { .. } => Err(WindowError::NoPicture(self.viewer.state().to_string())),
@@ -457,6 +442,9 @@ impl ApplicationHandler<Woken> for App {
 
     fn window_event(&mut self, events: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
         let now = self.now();
+        if let WindowEvent::CloseRequested | WindowEvent::Destroyed = event {
+            return events.exit();
+        }
         let Some(opened) = &mut self.opened else { return };
         let response = opened.input.on_window_event(&opened.window, &event);
         if response.repaint && !matches!(event, WindowEvent::RedrawRequested) {
@@ -464,7 +452,6 @@ impl ApplicationHandler<Woken> for App {
         }
         let scale = opened.window.scale_factor();
         match event {
-            WindowEvent::CloseRequested | WindowEvent::Destroyed => events.exit(),
             WindowEvent::RedrawRequested => self.draw(events),
             WindowEvent::Resized(PhysicalSize { width, height }) => {
                 opened.screen.resize([width, height]);
@@ -536,8 +523,14 @@ impl ApplicationHandler<Woken> for App {
         self.handle_viewer_events();
         self.finish_picture(events);
         self.rehearse(events);
-        let Some(opened) = &self.opened else { return };
         self.is_asked |= tick.draw;
+        self.seek_device(events);
+        let Some(opened) = &self.opened else {
+            if let Some(at) = self.device_due() {
+                events.set_control_flow(ControlFlow::WaitUntil(self.start + at.0));
+            }
+            return;
+        };
         let is_due = tick.draw || self.panel_due.is_some_and(|due| due <= now);
         let hidden = self.hidden_until.filter(|until| *until > now);
         if is_due && hidden.is_none() {

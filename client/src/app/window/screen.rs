@@ -75,6 +75,8 @@ impl Screen {
         mut panel: PaintedPanel,
     ) -> Result<Painted, RenderError> {
         if self.gpu.is_lost() {
+            // Nothing can be made of them; a new context says all of them again.
+            panel.textures.clear();
             return Ok(Painted::Lost);
         }
         // Textures are told once, whether the image is shown or not.
@@ -113,6 +115,10 @@ impl Screen {
             let Scene { replica, lattice, camera, options } = scene;
             stats = Some(self.renderer.draw(image.view(), replica, &lattice, &camera, &options)?);
         }
+        // What is made for the panel is not to be had from a device that was lost meanwhile.
+        if self.gpu.is_lost() {
+            return Ok(Painted::Lost);
+        }
         self.draw_panel(image.view(), [width, height], stats.is_some(), panel);
         self.window.pre_present_notify();
         self.target.present(image);
@@ -144,6 +150,13 @@ impl Screen {
         self.panel.render(&mut pass.forget_lifetime(), &panel.primitives, &screen);
         commands.push(encoder.finish());
         queue.submit(commands);
+    }
+
+    /// The device is lost, as it is when a driver is reset.
+    pub(super) fn lose_device(&self) {
+        self.gpu.device.destroy();
+        // That it is gone is told when it is asked.
+        let _ = self.gpu.device.poll(wgpu::PollType::Poll);
     }
 
     /// The scene without the panel. Whoever follows the replica begins anew afterwards.
