@@ -1,4 +1,4 @@
-//! What the training program (`tests/src/bin/train.rs`) needs to see of the codec.
+//! What the training program (`tests/measure/src/bin/train.rs`) needs to see of the codec.
 
 use super::cut::{CutFeatures, RANKED_VALENCES, for_each_pair};
 use super::geometry::GeometryFeatures;
