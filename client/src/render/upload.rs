@@ -111,6 +111,9 @@ pub struct Allowance {
     pub bytes: u64,
     /// Most bytes of uploads that a byte of ops came to lately.
     bytes_per_op_byte: f64,
+    /// Most bytes of uploads that a batch came to lately: collapses touch as much as splits and take a tenth of the bytes, so a batch's
+    /// length alone says little where a limit binds.
+    bytes_per_batch: f64,
 }
 
 /// What an op byte comes to before anything is known: a split takes some 3 bytes and touches a dozen places of 24 bytes.
@@ -123,13 +126,14 @@ const FORGETTING: f64 = 0.98;
 impl Allowance {
     /// An allowance of so many bytes per image.
     pub fn new(bytes: u64) -> Self {
-        Self { bytes, bytes_per_op_byte: FIRST_BYTES_PER_OP_BYTE }
+        Self { bytes, bytes_per_op_byte: FIRST_BYTES_PER_OP_BYTE, bytes_per_batch: 0.0 }
     }
 
     /// Whether a batch of so many bytes of ops may be applied for this image when `planned` bytes are to be uploaded already.
     /// The first one may always: otherwise nothing would ever be.
     pub fn admits(&self, planned: u64, op_bytes: usize) -> bool {
-        planned == 0 || planned.saturating_add(self.estimate(op_bytes)) <= self.bytes
+        let may_take = self.estimate(op_bytes).max(self.bytes_per_batch as u64);
+        planned == 0 || planned.saturating_add(may_take) <= self.bytes
     }
 
     /// What a batch of so many bytes of ops may come to.
@@ -142,6 +146,7 @@ impl Allowance {
         // Small batches cost more per byte than large ones, and are no danger.
         let measured = after.saturating_sub(before) as f64 / op_bytes.max(64) as f64;
         self.bytes_per_op_byte = measured.max(self.bytes_per_op_byte * FORGETTING);
+        self.bytes_per_batch = (after.saturating_sub(before) as f64).max(self.bytes_per_batch * FORGETTING);
     }
 }
 

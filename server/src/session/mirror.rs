@@ -38,8 +38,8 @@ pub(crate) struct BatchPlan<'a> {
     pub(crate) limit: u32,
 }
 
-/// Most triangles that one batch frees, so that its collapses stay below the number of ops in a batch.
-const MAX_FREED: u32 = 8192;
+/// Most triangles that one batch frees: its collapses are about as many as its splits, see [`MOST_SPLITS`](super::MOST_SPLITS).
+const MAX_FREED: u32 = 4096;
 
 /// Replica, cache and contexts as the client has them, and the ops behind the slots.
 #[derive(Debug)]

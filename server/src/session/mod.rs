@@ -27,6 +27,7 @@ mod rest;
 mod resume;
 pub mod score;
 mod select;
+pub mod sweep;
 #[cfg(test)]
 mod tests;
 
@@ -63,6 +64,8 @@ const HYSTERESIS_SHARE: f32 = 0.7;
 const BYTES_PER_SPLIT: usize = 3;
 /// Splits that every batch may have, however small the allowance: fewer would be all header.
 const MIN_OPS: usize = 64;
+/// Most splits of a batch. A client applies batches whole and uploads what they touch for one image, some 300 bytes an op.
+const MOST_SPLITS: usize = MAX_OPS_PER_BATCH as usize / 8;
 /// Bytes that a face of a spawn is taken to cost, and a colour of a vertex.
 const BYTES_PER_SPAWNED_FACE: usize = 1;
 const BYTES_PER_SPAWNED_COLOR: usize = 3;
@@ -699,7 +702,7 @@ impl Work {
         allowance: usize,
     ) -> Result<Option<BatchPlan<'_>>, PackError> {
         let is_over = mirror.replica().triangle_count() > limit;
-        let budget = (allowance / BYTES_PER_SPLIT).max(MIN_OPS).min(MAX_OPS_PER_BATCH as usize / 4);
+        let budget = (allowance / BYTES_PER_SPLIT).clamp(MIN_OPS, MOST_SPLITS);
         let left = &self.pending[self.next..];
         let ops = if is_over { &[] } else { &left[..fitting(model, left, budget)?] };
         let may_go = |slot| mirror.replica().collapsible().contains(slot) && !self.reluctant.contains(slot);

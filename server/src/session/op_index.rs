@@ -22,7 +22,7 @@ impl OpIndex {
     fn home(&self, op: u32) -> usize {
         // Ids come from the pack, so nobody outside chooses them.
         let hash = u64::from(op).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32;
-        (hash * self.places.len() as u64 >> 32) as usize
+        ((hash * self.places.len() as u64) >> 32) as usize
     }
 
     #[inline]

@@ -38,6 +38,18 @@ pub struct Scorer {
     tested_box: [DVec3; 2],
 }
 
+/// What a view with a camera judges by.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Camera {
+    pub(super) eye: DVec3,
+    pub(super) forward: DVec3,
+    pub(super) pixel_scale: f64,
+    pub(super) near: f64,
+    pub(super) corner_cosine: f64,
+    pub(super) parallel: Option<DVec3>,
+    pub(super) culls_facing_away: bool,
+}
+
 /// What priorities are.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum Measure {
@@ -101,6 +113,21 @@ impl Scorer {
     /// The eye, in lattice steps.
     pub(super) fn eye(&self) -> DVec3 {
         self.eye
+    }
+
+    /// The camera, unless priorities go by errors alone.
+    #[inline]
+    pub(super) fn camera(&self) -> Option<Camera> {
+        let camera = Camera {
+            eye: self.eye,
+            forward: self.forward,
+            pixel_scale: self.pixel_scale,
+            near: self.near,
+            corner_cosine: self.corner_cosine,
+            parallel: self.parallel,
+            culls_facing_away: self.culls_facing_away,
+        };
+        (self.measure == Measure::Pixels).then_some(camera)
     }
 
     /// Prepares a view of a model.

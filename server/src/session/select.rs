@@ -19,7 +19,8 @@ use lodestream_protocol::view::View;
 
 use super::front::Closure;
 use super::score::Scorer;
-use crate::pack::record::{Bounds, Cone, Magnitude, NO_OP};
+use super::sweep::Sweep;
+use crate::pack::record::{Bounds, Magnitude, NO_OP};
 use crate::pack::{PAGE_OPS, PackError, PackedModel, PageId};
 
 /// Most pages that one selection names: what a walk finds missing beyond them, the next one names. 16 MB of pages of the usual
@@ -116,6 +117,7 @@ pub(crate) fn select(
         pages: Pages { model, access, missing: Vec::new() },
         heap: BinaryHeap::new(),
         spawns: Spawns { next_page: 0, largest_error: f32::INFINITY },
+        sweep: Sweep::default(),
         out: Selection { triangles: model.base().faces.len() as u32, lambda: scorer.threshold(), ..Default::default() },
     };
     for &op in model.base_first_splits() {
@@ -182,6 +184,7 @@ struct Walk<'a> {
     pages: Pages<'a>,
     heap: BinaryHeap<u64>,
     spawns: Spawns,
+    sweep: Sweep,
     out: Selection,
 }
 
@@ -289,19 +292,14 @@ impl Walk<'_> {
     fn judge_spawns(&mut self, page: u32) -> Result<(), PackError> {
         let tests = self.model.tests(page)?;
         let rows = ((self.model.spawn_count() - tests.first_op) as usize).min(tests.error.len());
-        let mut centers: [Vec<i32>; 3] = Default::default();
-        for (column, out) in tests.center.iter().zip(&mut centers) {
-            column.decode_into(out);
+        let mut sweep = std::mem::take(&mut self.sweep);
+        let most = sweep.judge(self.scorer, &tests);
+        let wanted: Vec<usize> =
+            (0..rows).filter(|&row| self.scorer.wants(most[row]) || most[row] > self.out.error).collect();
+        for row in wanted {
+            self.judge(tests.first_op + row as u32, &sweep.bounds(&tests, row));
         }
-        for row in 0..rows {
-            let bounds = Bounds {
-                center: [centers[0][row], centers[1][row], centers[2][row]],
-                radius: Magnitude(tests.radius[row]),
-                error: Magnitude(tests.error[row]),
-                cone: Cone { axis: tests.axis.map(|axis| axis[row]), half_angle: tests.half_angle[row] },
-            };
-            self.judge(tests.first_op + row as u32, &bounds);
-        }
+        self.sweep = sweep;
         if let Some(&last) = tests.error[..rows].last() {
             self.spawns.largest_error = Magnitude(last).decode();
         }

@@ -3,8 +3,8 @@
 use anyhow::ensure;
 use lodestream_protocol::view::View;
 use lodestream_server::pack::PackedModel;
-use lodestream_server::pack::record::{Bounds, Cone, Magnitude};
 use lodestream_server::session::score::Scorer;
+use lodestream_server::session::sweep::Sweep;
 use serde_json::json;
 
 use crate::in_process::{processor_time, random_views};
@@ -63,21 +63,15 @@ fn op_by_op(model: &PackedModel, view: &View) -> anyhow::Result<Wanted> {
 fn page_by_page(model: &PackedModel, view: &View) -> anyhow::Result<Wanted> {
     let scorer = Scorer::new(view, model.info());
     let mut wanted = Wanted::default();
-    let mut centers: [Vec<i32>; 3] = Default::default();
+    let mut sweep = Sweep::default();
     for page in 0..model.page_count() {
         let tests = model.tests(page)?;
-        for (column, out) in tests.center.iter().zip(&mut centers) {
-            out.clear();
-            column.decode_into(out);
-        }
-        for row in 0..tests.error.len() {
-            let bounds = Bounds {
-                center: [centers[0][row], centers[1][row], centers[2][row]],
-                radius: Magnitude(tests.radius[row]),
-                error: Magnitude(tests.error[row]),
-                cone: Cone { axis: tests.axis.map(|axis| axis[row]), half_angle: tests.half_angle[row] },
-            };
-            wanted.add(tests.first_op + row as u32, scorer.wants(scorer.priority(&bounds)));
+        let rows = sweep.judge(&scorer, &tests).len();
+        for row in 0..rows {
+            // What may be wanted is judged by itself.
+            let is_wanted =
+                scorer.wants(sweep.most()[row]) && scorer.wants(scorer.priority(&sweep.bounds(&tests, row)));
+            wanted.add(tests.first_op + row as u32, is_wanted);
         }
     }
     Ok(wanted)
