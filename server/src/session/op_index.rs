@@ -160,6 +160,7 @@ impl OpSlots {
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeMap;
+    use std::collections::btree_map::Entry;
 
     use super::*;
 
@@ -173,10 +174,10 @@ mod tests {
             // Few ops, so that they collide and come again.
             let op = rng.u32(..3000) * 256;
             if rng.u8(..) < if step < 30_000 { 160 } else { 96 } {
-                if !twin.contains_key(&op) {
+                if let Entry::Vacant(vacant) = twin.entry(op) {
                     let slot = free.pop().unwrap();
                     slots.insert(op, slot);
-                    twin.insert(op, slot);
+                    vacant.insert(slot);
                 }
             } else if let Some(slot) = twin.remove(&op) {
                 assert_eq!(slots.take(slot), op);
