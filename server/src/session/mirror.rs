@@ -38,8 +38,8 @@ pub(crate) struct BatchPlan<'a> {
     pub(crate) limit: u32,
 }
 
-/// Most triangles that one batch frees: its collapses are about as many as its splits, see [`MOST_SPLITS`](super::MOST_SPLITS).
-const MAX_FREED: u32 = 4096;
+/// Most triangles that one batch frees, by half as many collapses, see [`MOST_SPLITS_AT_LIMIT`](super::MOST_SPLITS_AT_LIMIT).
+const MAX_FREED: u32 = 2048;
 
 /// Replica, cache and contexts as the client has them, and the ops behind the slots.
 #[derive(Debug)]

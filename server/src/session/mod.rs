@@ -64,8 +64,11 @@ const HYSTERESIS_SHARE: f32 = 0.7;
 const BYTES_PER_SPLIT: usize = 3;
 /// Splits that every batch may have, however small the allowance: fewer would be all header.
 const MIN_OPS: usize = 64;
-/// Most splits of a batch. A client applies batches whole and uploads what they touch for one image, some 300 bytes an op.
-const MOST_SPLITS: usize = MAX_OPS_PER_BATCH as usize / 8;
+/// Most splits of a batch.
+const MOST_SPLITS: usize = MAX_OPS_PER_BATCH as usize / 4;
+/// The same where the triangle limit binds. A client applies batches whole and uploads what they touch for one image: with the collapses that make
+/// room for them up to 600 bytes an op, and a megabyte is what an image has for it.
+const MOST_SPLITS_AT_LIMIT: usize = 768;
 /// Bytes that a face of a spawn is taken to cost, and a colour of a vertex.
 const BYTES_PER_SPAWNED_FACE: usize = 1;
 const BYTES_PER_SPAWNED_COLOR: usize = 3;
@@ -702,7 +705,9 @@ impl Work {
         allowance: usize,
     ) -> Result<Option<BatchPlan<'_>>, PackError> {
         let is_over = mirror.replica().triangle_count() > limit;
-        let budget = (allowance / BYTES_PER_SPLIT).clamp(MIN_OPS, MOST_SPLITS);
+        let room = limit.saturating_sub(mirror.replica().triangle_count()) as usize;
+        let most = if room < 2 * MOST_SPLITS { MOST_SPLITS_AT_LIMIT } else { MOST_SPLITS };
+        let budget = (allowance / BYTES_PER_SPLIT).clamp(MIN_OPS, most);
         let left = &self.pending[self.next..];
         let ops = if is_over { &[] } else { &left[..fitting(model, left, budget)?] };
         let may_go = |slot| mirror.replica().collapsible().contains(slot) && !self.reluctant.contains(slot);
@@ -710,7 +715,8 @@ impl Work {
             return Ok(None);
         }
         // What a view left behind goes in small shares while there are splits to send, then as fast as the link allows.
-        let spare_collapses = if left.is_empty() { budget } else { budget / 4 } as u32;
+        let spare = if left.is_empty() { budget } else { budget / 4 };
+        let spare_collapses = spare.min(2 * MOST_SPLITS_AT_LIMIT) as u32;
         Ok(Some(BatchPlan { ops, stale: &mut self.stale, reluctant: &mut self.reluctant, spare_collapses, limit }))
     }
 }
