@@ -84,8 +84,9 @@ pub(crate) struct Front {
     /// Spawns that were looked at so far: those of the first pages.
     spawns: Vec<SpawnRow>,
     motion: Motion,
-    /// What a view is but for its eye, orientation and limit.
+    /// What a view is but for its eye and orientation, and for what each test of a row is told: near plane, tolerance and limit.
     kind: Option<View>,
+    tolerance: f32,
     /// Ops of higher priority are wanted.
     threshold: f32,
     /// Triangles of base and closure.
@@ -324,21 +325,24 @@ impl Front {
         let kind = View {
             eye: [0.0; 3],
             orientation: DQuat::IDENTITY.as_quat().to_array(),
+            near: 1.0,
+            tolerance_px: 0.0,
             triangle_limit: 0,
             ..view.clone()
         };
         let tolerance = context.scorer.threshold();
+        if self.kind.is_none() {
+            self.triangles = context.model.base().faces.len() as u32;
+            // From above, so that a first view under a limit is not overshot.
+            let may_bind = u64::from(context.limit) < context.model.info().triangles;
+            self.threshold = if may_bind { f32::MAX } else { tolerance };
+        } else if self.tolerance != tolerance {
+            // Where the limit binds, the tolerance only matters once it is over the threshold.
+            let is_limited = self.threshold > self.tolerance;
+            self.threshold = if is_limited { self.threshold.max(tolerance) } else { tolerance };
+        }
+        self.tolerance = tolerance;
         if self.kind.as_ref() != Some(&kind) {
-            match &self.kind {
-                Some(before) if self.threshold > before.tolerance_px => self.threshold = self.threshold.max(tolerance),
-                Some(_) => self.threshold = tolerance,
-                None => {
-                    self.triangles = context.model.base().faces.len() as u32;
-                    // From above, so that a first view under a limit is not overshot.
-                    self.threshold =
-                        if u64::from(context.limit) < context.model.info().triangles { f32::MAX } else { tolerance };
-                }
-            }
             self.kind = Some(kind);
             self.rows.dues.iter_mut().zip(&self.rows.states).for_each(|(due, state)| {
                 if state.flags & WANTED != 0 {

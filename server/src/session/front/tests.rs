@@ -77,6 +77,8 @@ impl Camera {
                 self.view.clip_planes = vec![[n.x, n.y, n.z, -n.dot(self.middle)]];
             }
             94..96 => self.view.clip_planes.clear(),
+            // Viewers fit it to each view.
+            96..98 => self.view.near = size * self.rng.f64().powi(4).max(1e-9),
             _ => {}
         }
         let forward = (self.target - self.eye).normalize_or(DVec3::Z);
