@@ -233,7 +233,8 @@ pub(crate) fn view_updates(subject: &Subject, report: &Report) -> anyhow::Result
         for step in 0..STEPS {
             let (eye, target) = path(f64::from(step));
             let view = View {
-                near: 1e-3 * radius,
+                // It follows the camera, as that of a viewer does.
+                near: 1e-4 * eye.distance(target),
                 tolerance_px: tolerance,
                 triangle_limit: LIMIT,
                 aspect: 16.0 / 9.0,
