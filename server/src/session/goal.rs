@@ -13,13 +13,20 @@ use super::score::Scorer;
 use super::select::{PageAccess, select};
 use crate::pack::{PackError, PackedModel, PageId};
 
+/// Views after which what a stale op matters has been judged again. It only decides what lingers until the view has rested, and a moving view
+/// leaves thousands behind.
+const TURNS: u32 = 8;
+
 /// See the module. Kept as long as the session.
 #[derive(Debug, Default)]
 pub(super) struct Goal {
     front: Front,
     /// Members of the front that were not applied, and applied ops that are no members, as of the last view; less by now.
     waiting: Vec<u32>,
-    stale: Vec<u32>,
+    /// With what each mattered when it was judged last.
+    stale: Vec<(u32, Option<f32>)>,
+    /// Which part of the stale ops the next view judges again.
+    turn: u32,
     /// Whether these two are right.
     is_known: bool,
 }
@@ -46,7 +53,7 @@ pub(super) struct Aim {
 
 impl Goal {
     pub(super) fn heap_bytes(&self) -> usize {
-        self.front.heap_bytes() + (self.waiting.capacity() + self.stale.capacity()) * 4
+        self.front.heap_bytes() + self.waiting.capacity() * 4 + self.stale.capacity() * size_of::<(u32, Option<f32>)>()
     }
 
     /// Forgets what the client holds, not what it looks at.
@@ -79,19 +86,21 @@ impl Goal {
         if may_bind && !update.missing.is_empty() {
             return self.walk(model, access, view, mirror, &scorer);
         }
-        let Self { front, waiting, stale, is_known } = self;
+        let Self { front, waiting, stale, turn, is_known } = self;
         if *is_known {
             waiting.extend_from_slice(&update.joined);
-            stale.extend_from_slice(&update.left);
+            stale.extend(update.left.iter().map(|&op| (op, None)));
         } else {
-            (*waiting, *stale) = (front.members().collect(), mirror.applied().map(|(op, _)| op).collect());
+            *waiting = front.members().collect();
+            *stale = mirror.applied().map(|(op, _)| (op, None)).collect();
             *is_known = true;
         }
-        tidy(waiting, |op| front.has(op) && !mirror.is_applied(op));
-        tidy(stale, |op| mirror.is_applied(op) && !front.has(op));
+        tidy(waiting, |&op| op, |op| front.has(op) && !mirror.is_applied(op));
+        tidy(stale, |&(op, _)| op, |op| mirror.is_applied(op) && !front.has(op));
+        *turn = (*turn + 1) % TURNS;
         Ok(Aim {
             pending: sending_order(model, &scorer, waiting)?,
-            stale: judged(model, &scorer, stale)?,
+            stale: judged(model, &scorer, stale, *turn)?,
             lambda: update.lambda,
             error: update.error,
             is_limited: update.is_limited,
@@ -120,10 +129,11 @@ impl Goal {
         self.is_known = false;
         let selection = select(model, scorer, view.triangle_limit, access)?;
         let waiting: Vec<u32> = selection.ops.iter().copied().filter(|&op| !mirror.is_applied(op)).collect();
-        let stale: Vec<u32> = mirror.applied().map(|(op, _)| op).filter(|op| !selection.set.contains(op)).collect();
+        let stale = mirror.applied().map(|(op, _)| op).filter(|op| !selection.set.contains(op));
+        let mut stale: Vec<_> = stale.map(|op| (op, None)).collect();
         Ok(Aim {
             pending: sending_order(model, scorer, &waiting)?,
-            stale: judged(model, scorer, &stale)?,
+            stale: judged(model, scorer, &mut stale, 0)?,
             lambda: selection.lambda,
             error: Some(selection.error),
             is_limited: selection.is_limited,
@@ -135,14 +145,27 @@ impl Goal {
 }
 
 /// Each op once, and only those that still count.
-fn tidy(ops: &mut Vec<u32>, mut counts: impl FnMut(u32) -> bool) {
-    ops.retain(|&op| counts(op));
-    ops.sort_unstable();
-    ops.dedup();
-    let used = ops.len();
-    give_back(ops, used);
+fn tidy<T>(list: &mut Vec<T>, op_of: impl Fn(&T) -> u32, mut counts: impl FnMut(u32) -> bool) {
+    list.retain(|item| counts(op_of(item)));
+    list.sort_unstable_by_key(&op_of);
+    list.dedup_by_key(|item| op_of(item));
+    let used = list.len();
+    give_back(list, used);
 }
 
-fn judged(model: &PackedModel, scorer: &Scorer, ops: &[u32]) -> Result<Vec<(u32, f32)>, PackError> {
-    ops.iter().map(|&op| Ok((op, scorer.priority(&model.bounds(op)?)))).collect()
+/// Judges those that are new and those whose turn it is.
+fn judged(
+    model: &PackedModel,
+    scorer: &Scorer,
+    stale: &mut [(u32, Option<f32>)],
+    turn: u32,
+) -> Result<Vec<(u32, f32)>, PackError> {
+    let judge = |(op, before): &mut (u32, Option<f32>)| {
+        let priority = match *before {
+            Some(priority) if *op % TURNS != turn => priority,
+            _ => *before.insert(scorer.priority(&model.bounds(*op)?)),
+        };
+        Ok((*op, priority))
+    };
+    stale.iter_mut().map(judge).collect()
 }
