@@ -64,11 +64,12 @@ const HYSTERESIS_SHARE: f32 = 0.7;
 const BYTES_PER_SPLIT: usize = 3;
 /// Splits that every batch may have, however small the allowance: fewer would be all header.
 const MIN_OPS: usize = 64;
-/// Most splits of a batch. A client applies batches whole and uploads what they touch for one image, up to 600 bytes an op where they lie far
-/// apart, and an image has a megabyte for it.
-const MOST_SPLITS: usize = MAX_OPS_PER_BATCH as usize / 8;
-/// The same where the triangle limit binds and collapses make room for them.
+/// Most splits of a batch. A client applies batches whole and uploads what they touch for one image: some 550 bytes an op where they lie far
+/// apart, and an image has two megabytes. Names take more bits in smaller batches.
+const MOST_SPLITS: usize = 3072;
+/// The same where the triangle limit binds: collapses make room for them, and what goes takes memory too while it fades.
 const MOST_SPLITS_AT_LIMIT: usize = 768;
+const _: () = assert!(2 * MOST_SPLITS < MAX_OPS_PER_BATCH as usize);
 /// Bytes that a face of a spawn is taken to cost, and a colour of a vertex.
 const BYTES_PER_SPAWNED_FACE: usize = 1;
 const BYTES_PER_SPAWNED_COLOR: usize = 3;
