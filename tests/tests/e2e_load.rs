@@ -230,11 +230,11 @@ fn connections_that_break_are_made_anew_and_nothing_comes_twice() {
     let whole = run("--seed 5");
     assert!(whole.get("dropped").is_none() && resumed_before() == (0, 0));
 
-    // While batches are on their way.
-    let often = run("--seed 5 --drop 3/1s");
+    // While batches are on their way. Connections that break within seconds, one after the other, would be waited for longer and longer.
+    let often = run("--seed 5 --drop 1/1s");
     let at = |pointer: &str| count(&often, pointer);
     let (connections, resumed) = (at("/dropped/connections"), at("/dropped/resumed"));
-    assert!(connections >= 12 && resumed + at("/dropped/begun_anew") == connections, "{}", often["dropped"]);
+    assert!(connections >= 3 && resumed + at("/dropped/begun_anew") == connections, "{}", often["dropped"]);
     assert_eq!(at("/dropped/time_to_answer_ms/count"), connections);
     // The shortest wait before a try, and four ways there and back: TCP, upgrade, claim.
     let least = often["dropped"]["time_to_answer_ms"]["p50"].as_f64().expect("there are samples");

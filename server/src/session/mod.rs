@@ -65,8 +65,8 @@ const BYTES_PER_SPLIT: usize = 3;
 /// Splits that every batch may have, however small the allowance: fewer would be all header.
 const MIN_OPS: usize = 64;
 /// Most splits of a batch. A client applies batches whole and uploads what they touch for one image: some 550 bytes an op where they lie far
-/// apart, and an image has two megabytes. Names take more bits in smaller batches.
-const MOST_SPLITS: usize = 3072;
+/// apart, and an image has two megabytes for that and for what fades.
+const MOST_SPLITS: usize = 2048;
 /// The same where the triangle limit binds: collapses make room for them, and what goes takes memory too while it fades.
 const MOST_SPLITS_AT_LIMIT: usize = 768;
 const _: () = assert!(2 * MOST_SPLITS < MAX_OPS_PER_BATCH as usize);

@@ -83,7 +83,7 @@ impl Viewer {
     }
 
     /// Applies batches until their uploads fill the allowance. A batch is applied whole, as it is decoded in one piece and only its end
-    /// says whether both ends agree: one that is larger than the allowance has an image to itself. Servers keep theirs to 3,072 splits, 768 where
+    /// says whether both ends agree: one that is larger than the allowance has an image to itself. Servers keep theirs to 2,048 splits, 768 where
     /// a triangle limit binds; a decoder takes none of more than
     /// [`MAX_OPS_PER_BATCH`](lodestream_protocol::limits::MAX_OPS_PER_BATCH) ops. The mesh that is not on screen has no uploads, and its batches are
     /// applied in the same amounts.
