@@ -12,7 +12,7 @@
 //! A test is due when its sum has grown by its slack. An orbit then tests what comes nearer or turns, rather than all that the eye goes by, and a
 //! camera that looks around what a border of the picture passes.
 //!
-//! A step costs some ten dot products a cell and one a bin, about 10 us; the sums take 16 KB.
+//! A step costs some ten dot products a cell and one a bin, about 10 us; the sums take some 18 KB.
 
 use glam::DVec3;
 use lodestream_protocol::view::Plane;
