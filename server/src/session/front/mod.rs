@@ -266,7 +266,7 @@ impl Front {
 
     pub(crate) fn heap_bytes(&self) -> usize {
         let lists = self.fills.capacity() + self.touched.capacity() + 2 * self.work.capacity() + self.stack.capacity();
-        self.rows.heap_bytes() + self.spawns.capacity() * size_of::<SpawnRow>() + lists * 4
+        self.rows.heap_bytes() + self.motion.heap_bytes() + self.spawns.capacity() * size_of::<SpawnRow>() + lists * 4
     }
 
     /// Makes the set that of `view`, for which `scorer` was made.

@@ -14,6 +14,8 @@
 //!
 //! A step costs some ten dot products a cell and one a bin, about 10 us; the sums take some 18 KB.
 
+use std::sync::LazyLock;
+
 use glam::DVec3;
 use lodestream_protocol::view::Plane;
 
@@ -76,8 +78,6 @@ struct Grid {
 pub(super) struct Motion {
     last: Option<Camera>,
     grid: Option<Grid>,
-    /// Middles of the bins.
-    bins: Vec<DVec3>,
     sums: Sums,
     updates: u32,
 }
@@ -193,7 +193,6 @@ impl Motion {
             self.sums.planes = planes;
             self.sums.all = vec![0.0; SHARED + grid.len() * self.sums.stride()];
             (self.last, self.updates) = (None, 0);
-            self.bins = (0..BINS).map(middle_of_bin).collect();
         }
         let ended = (self.updates >= UPDATES_PER_EPOCH).then(|| self.sums.clone());
         if ended.is_some() {
@@ -206,7 +205,7 @@ impl Motion {
             let step = Step::new(before, &now, scorer);
             let stride = self.sums.stride();
             let (shared, cells) = self.sums.all.split_at_mut(SHARED);
-            step.turn(&self.bins, shared);
+            step.turn(shared);
             for (cell, sums) in cells.chunks_exact_mut(stride).enumerate() {
                 let (center, half) = grid.cell(cell);
                 step.over(center, half, sums);
@@ -232,6 +231,10 @@ impl Motion {
     #[inline]
     pub(super) fn most(&self, cell: u8, depth: f64) -> f32 {
         up(depth - f64::from(self.sums.farther(cell)))
+    }
+
+    pub(super) fn heap_bytes(&self) -> usize {
+        self.sums.all.capacity() * size_of::<f32>()
     }
 
     #[inline]
@@ -269,7 +272,7 @@ impl SumAt {
     pub(super) fn along(cone: &WideCone) -> Self {
         let bin = bin_of(cone.axis);
         // From the middle of the bin to the far side of the cone.
-        let middle = middle_of_bin(usize::from(bin));
+        let middle = MIDDLES[usize::from(bin)];
         let (cos, sin) = (middle.dot(cone.axis), middle.cross(cone.axis).length());
         let (far_cos, far_sin) = (cos * cone.cos - sin * cone.sin, sin * cone.cos + cos * cone.sin);
         let holds = |&(cap, _): &(f64, f64)| far_sin >= 0.0 && far_cos >= cap + 1e-9;
@@ -296,6 +299,9 @@ pub(super) fn bin_of(direction: DVec3) -> u8 {
     let side = 2 * axis + usize::from(direction[axis] < 0.0);
     (side * BIN_EDGE * BIN_EDGE + along(x) * BIN_EDGE + along(y)) as u8
 }
+
+/// The middles of all bins, the same for all sessions.
+static MIDDLES: LazyLock<[DVec3; BINS]> = LazyLock::new(|| std::array::from_fn(middle_of_bin));
 
 fn middle_of_bin(bin: usize) -> DVec3 {
     let (side, part) = (bin / (BIN_EDGE * BIN_EDGE), bin % (BIN_EDGE * BIN_EDGE));
@@ -358,7 +364,7 @@ impl Step {
     }
 
     /// Adds how far the eye goes along and against the directions of the bins.
-    fn turn(&self, bins: &[DVec3], sums: &mut [f32]) {
+    fn turn(&self, sums: &mut [f32]) {
         let length = self.turn.length();
         if length == 0.0 {
             return;
@@ -368,7 +374,7 @@ impl Step {
             length * if cos >= cap_cos { 1.0 } else { (cos * cap_cos + sin * cap_sin).max(0.0) }
         };
         let (along, against) = sums.split_at_mut(usize::from(AGAINST));
-        for ((middle, along), against) in bins.iter().zip(along.chunks_exact_mut(CAPS.len())).zip(against) {
+        for ((middle, along), against) in MIDDLES.iter().zip(along.chunks_exact_mut(CAPS.len())).zip(against) {
             let cos = larger(-1.0, middle.dot(self.turn) / length).min(1.0);
             let sin = (1.0 - cos * cos).sqrt() + 1e-9;
             along.iter_mut().zip(CAPS).for_each(|(sum, cap)| add(sum, most(cos, sin, cap)));
