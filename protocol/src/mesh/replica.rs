@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use super::bits::SlotSet;
 use super::digest::{face_hash, vertex_hash};
 use super::dirty::DirtySlots;
-use super::fan::{Cut, Fan};
+use super::fan::{COMMON_SPOKES, Cut, Fan, Walked};
 use super::growth::reserve_an_eighth;
 use super::patch::{HalfEdge, NO_HALF_EDGE, Patch, PatchError};
 use crate::ids::VertexSlot;
@@ -103,7 +103,9 @@ struct Move {
 /// Memory: 83 bytes per slot and a few bits, plus 16 for models whose placement moves vertices, and at most an eighth more.
 #[derive(Clone, Debug)]
 pub struct Replica {
-    // Per vertex slot.
+    /// One past the largest vertex slot ever used.
+    slot_end: u32,
+    // Per vertex slot, and room for as many more as an eighth.
     position: Vec<[i32; 3]>,
     color: Vec<[u8; 3]>,
     /// `s` of the split that made the slot, `SPAWNED | address`, or `NONE` for base slots and free ones.
@@ -147,6 +149,7 @@ impl Replica {
         let (vertices, faces) = (base.positions.len() as u32, base.faces.len() as u32);
         let base_slots = vertices.max(faces.div_ceil(2));
         let mut replica = Self {
+            slot_end: 0,
             position: Vec::new(),
             color: Vec::new(),
             origin: Vec::new(),
@@ -181,7 +184,7 @@ impl Replica {
     pub fn track_dirty(&mut self) {
         let mut dirty = DirtySlots::default();
         self.vertices.iter().for_each(|v| dirty.touch_vertex(v));
-        (0..self.corner.len() as u32).for_each(|f| dirty.touch_face(f));
+        (0..2 * self.slot_end).for_each(|f| dirty.touch_face(f));
         self.dirty = Some(dirty);
     }
 
@@ -205,7 +208,7 @@ impl Replica {
     /// One past the largest vertex slot ever used. Face slots end at twice that.
     #[inline]
     pub fn slot_end(&self) -> u32 {
-        self.position.len() as u32
+        self.slot_end
     }
 
     /// Slots that the base keeps for ever.
@@ -235,19 +238,19 @@ impl Replica {
     /// Lattice positions by vertex slot, `len == slot_end()`. Free slots hold what was last there.
     #[inline]
     pub fn positions(&self) -> &[[i32; 3]] {
-        &self.position
+        &self.position[..self.slot_end as usize]
     }
 
     /// Colours by vertex slot, `len == slot_end()`.
     #[inline]
     pub fn colors(&self) -> &[[u8; 3]] {
-        &self.color
+        &self.color[..self.slot_end as usize]
     }
 
     /// Corners by face slot, `len == 2 * slot_end()`. A slot without a face holds `[0, 0, 0]`.
     #[inline]
     pub fn corners(&self) -> &[[u32; 3]] {
-        &self.corner
+        &self.corner[..2 * self.slot_end as usize]
     }
 
     /// Order-independent sum over vertices (slot, position, colour) and faces (slot, corners in stored rotation).
@@ -296,23 +299,44 @@ impl Replica {
     /// # Errors
     /// [`ApplyError::NoVertex`].
     pub fn fan(&self, slot: VertexSlot, fan: &mut Fan) -> Result<(), ApplyError> {
-        fan.out.clear();
-        fan.ring.clear();
         if !self.vertices.contains(slot.0) {
             return Err(ApplyError::NoVertex(slot.0));
         }
         let start = self.outgoing(self.some_face[slot.index()], slot.0);
-        let mut h = start;
+        let mut walked = Walked::new();
+        let (mut h, mut count) = (start, 0);
         let mut smallest = (u32::MAX, 0);
+        while count < COMMON_SPOKES {
+            let (face, k) = ((h / 4) as usize, (h % 4) as usize);
+            if h < smallest.0 {
+                smallest = (h, count);
+            }
+            // Read on the way: the walk waits for memory, and both reads of a face can wait at once.
+            (walked.out[count], walked.ring[count]) = (h, self.corner[face][AFTER[k]]);
+            count += 1;
+            let next = self.twin[face][BEFORE[k]];
+            if next == start {
+                fan.close(&mut walked, count, smallest.1);
+                return Ok(());
+            }
+            if next == NO_HALF_EDGE {
+                break;
+            }
+            h = next;
+        }
+        self.rare_fan(start, fan);
+        Ok(())
+    }
+
+    /// As [`fan`](Self::fan) does, at a boundary or of a vertex with many faces, from any outgoing half-edge on.
+    #[cold]
+    #[inline(never)]
+    fn rare_fan(&self, start: HalfEdge, fan: &mut Fan) {
+        let mut out = Vec::new();
+        let mut h = start;
         let mut closed = false;
         loop {
-            let face = h / 4;
-            if face < smallest.0 {
-                smallest = (face, fan.out.len());
-            }
-            fan.out.push(h);
-            // Read on the way: the walk waits for memory, and both reads of a face can wait at once.
-            fan.ring.push(self.corner_at(next_in_face(h)));
+            out.push(h);
             let next = self.twin_of(previous(h));
             if next == NO_HALF_EDGE {
                 break;
@@ -324,11 +348,11 @@ impl Replica {
             h = next;
         }
         if closed {
-            fan.out.rotate_left(smallest.1);
-            fan.ring.rotate_left(smallest.1);
+            let smallest = (0..out.len()).min_by_key(|&i| out[i] / 4).unwrap_or(0);
+            out.rotate_left(smallest);
         } else {
             // The walk began somewhere in the middle: find the rest, clockwise from the start.
-            let walked = fan.out.len();
+            let walked = out.len();
             let mut h = start;
             loop {
                 let twin = self.twin_of(h);
@@ -336,25 +360,23 @@ impl Replica {
                     break;
                 }
                 h = next_in_face(twin);
-                fan.out.push(h);
+                out.push(h);
             }
             // ... s+1, s+2, [s-1, s-2, ...] -> ..., s-2, s-1, s, s+1, s+2
-            fan.out[walked..].reverse();
-            fan.out.rotate_left(walked);
+            out[walked..].reverse();
+            out.rotate_left(walked);
         }
+        let mut ring: Vec<u32> = out.iter().map(|&h| self.corner_at(next_in_face(h))).collect();
         if !closed {
-            fan.ring.clear();
-            fan.ring.extend(fan.out.iter().map(|&h| self.corner_at(next_in_face(h))));
-            let last = *fan.out.last().expect("a fan has a face");
-            fan.ring.push(self.corner_at(previous(last)));
+            ring.extend(out.last().map(|&last| self.corner_at(previous(last))));
         }
-        Ok(())
+        fan.set(&out, &ring);
     }
 
     /// Reads around a few vertices, [`TOUCHED_AT_ONCE`] of which are served best, for no other end than to have their fans near
     /// the processor: walking one fan means to wait for one read after the other, walking several at once the reads overlap.
     pub fn touch_fans(&self, slots: &[u32]) {
-        if self.position.len() < TOUCHED_FROM {
+        if (self.slot_end as usize) < TOUCHED_FROM {
             return;
         }
         let (corner, twin) = (&self.corner[..], &self.twin[..self.corner.len()]);
@@ -426,19 +448,21 @@ impl Replica {
         self.shift_vertex(s.0, vertex.s_move, vertex.s_color_move);
         if vertex.s_move != [0; 3] || vertex.s_color_move != [0; 3] || !self.moves.is_empty() {
             if self.moves.len() <= t as usize {
-                extend(&mut self.moves, t as usize + 1, Move::default());
+                reserve_an_eighth(&mut self.moves, t as usize + 1);
+                self.moves.resize(t as usize + 1, Move::default());
             }
             self.moves[t as usize] = Move { position: vertex.s_move, color: vertex.s_color_move };
         }
 
-        let faces = fan.out.len();
+        let (out, ring) = (fan.out(), fan.ring());
+        let faces = out.len();
         let closed = fan.is_closed();
         // The faces before and after a spoke, going counter-clockwise; absent beyond the ends of an open fan.
-        let after = |spoke: usize| (spoke < faces).then(|| fan.out[spoke]);
+        let after = |spoke: usize| (spoke < faces).then(|| out[spoke]);
         let before_spoke = |spoke: usize| match spoke {
-            0 if closed => Some(fan.out[faces - 1]),
+            0 if closed => Some(out[faces - 1]),
             0 => None,
-            _ => Some(fan.out[spoke - 1]),
+            _ => Some(out[spoke - 1]),
         };
         let (right, left) = match cut {
             Cut::Both { right, left } => (Some(right as usize), Some(left as usize)),
@@ -448,14 +472,13 @@ impl Replica {
         // Relabel the arc.
         let arc = fan.arc_len(cut) as usize;
         let first = right.unwrap_or(0);
-        for i in 0..arc {
-            let h = fan.out[(first + i) % faces];
-            self.set_corner(h, t);
+        for i in first..first + arc {
+            self.set_corner(out[if i < faces { i } else { i - faces }], t);
         }
         let [f_l, f_r] = [2 * t, 2 * t + 1];
         if let Some(left) = left {
             let (s_side, t_side) = (after(left), before_spoke(left).map(previous));
-            self.put_face(f_l, [s.0, t, fan.ring[left]]);
+            self.put_face(f_l, [s.0, t, ring[left]]);
             self.link(f_l * 4 + 1, t_side);
             self.link(f_l * 4 + 2, s_side);
             self.add_face_reference(t_side);
@@ -463,7 +486,7 @@ impl Replica {
         }
         if let Some(right) = right {
             let (s_side, t_side) = (before_spoke(right).map(previous), after(right));
-            self.put_face(f_r, [t, s.0, fan.ring[right]]);
+            self.put_face(f_r, [t, s.0, ring[right]]);
             self.link(f_r * 4 + 1, s_side);
             self.link(f_r * 4 + 2, t_side);
             self.add_face_reference(t_side);
@@ -670,18 +693,30 @@ impl Replica {
 
     fn occupy(&mut self, slot: u32) {
         self.occupied.insert(slot);
-        if slot as usize >= self.position.len() {
-            let slots = slot as usize + 1;
-            extend(&mut self.position, slots, [0; 3]);
-            extend(&mut self.color, slots, [0; 3]);
-            extend(&mut self.origin, slots, NONE);
-            extend(&mut self.last_op, slots, NONE);
-            extend(&mut self.prev_op, slots, NONE);
-            extend(&mut self.references, slots, 0);
-            extend(&mut self.some_face, slots, 0);
-            extend(&mut self.corner, 2 * slots, NO_FACE);
-            extend(&mut self.twin, 2 * slots, [NO_HALF_EDGE; 3]);
+        if slot >= self.slot_end {
+            self.slot_end = slot + 1;
+            if self.slot_end as usize > self.position.len() {
+                self.grow();
+            }
         }
+    }
+
+    /// Makes room for all slots up to the end and an eighth more: a server holds thousands of replicas, and what doubling leaves
+    /// free would be a third of all.
+    #[cold]
+    #[inline(never)]
+    fn grow(&mut self) {
+        let end = self.slot_end as usize;
+        let slots = end + end / 8 + 16;
+        extend(&mut self.position, slots, [0; 3]);
+        extend(&mut self.color, slots, [0; 3]);
+        extend(&mut self.origin, slots, NONE);
+        extend(&mut self.last_op, slots, NONE);
+        extend(&mut self.prev_op, slots, NONE);
+        extend(&mut self.references, slots, 0);
+        extend(&mut self.some_face, slots, 0);
+        extend(&mut self.corner, 2 * slots, NO_FACE);
+        extend(&mut self.twin, 2 * slots, [NO_HALF_EDGE; 3]);
     }
 
     fn insert_patch(&mut self, patch: &Patch, twins: &[[u32; 3]], slots: &[u32], address: u32) {
@@ -842,10 +877,9 @@ impl Replica {
     }
 }
 
-/// So many elements, the new ones all alike.
-#[inline]
+/// So many elements and room for no more, the new ones all alike.
 fn extend<T: Copy>(array: &mut Vec<T>, len: usize, value: T) {
-    reserve_an_eighth(array, len);
+    array.reserve_exact(len - array.len());
     array.resize(len, value);
 }
 
@@ -854,6 +888,10 @@ fn extend<T: Copy>(array: &mut Vec<T>, len: usize, value: T) {
 fn spawned_face(slots: &[u32], j: u32) -> u32 {
     2 * slots[(j / 2) as usize] + j % 2
 }
+
+/// The half-edge of a face after each, and the one before; those of a fourth are never looked up.
+static AFTER: [usize; 4] = [1, 2, 0, 0];
+static BEFORE: [usize; 4] = [2, 0, 1, 0];
 
 #[inline]
 fn next_in_face(h: HalfEdge) -> HalfEdge {

@@ -5,39 +5,44 @@
 
 use super::observe::Note;
 
-/// Probability that the next bit is 0, as the mean of a fast and a slow estimate of 16 bits each.
+/// Probability that the next bit is 0, as the mean of a fast and a slow estimate of 16 bits each: the upper and the lower half.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Prob {
-    fast: u16,
-    slow: u16,
-}
+pub(crate) struct Prob(u32);
 
 const FAST_SHIFT: u32 = 5;
 const SLOW_SHIFT: u32 = 8;
+/// The lowest and the highest estimate to start from. Adapting leaves neither half outside `31 ..= 65504`, so that the mean stays
+/// in `32 ..= 65504` and both bits can be coded.
+const PRIORS: std::ops::RangeInclusive<u16> = 33..=65_502;
 
 impl Prob {
     /// Even odds.
-    pub(crate) const HALF: Self = Self { fast: 1 << 15, slow: 1 << 15 };
+    pub(crate) const HALF: Self = Self::at(1 << 15);
 
-    /// Where both estimates are `zero / 2^16`.
+    /// Where both estimates are `zero / 2^16`, or as near to it as an estimate may begin.
     pub(crate) const fn at(zero: u16) -> Self {
-        Self { fast: zero, slow: zero }
+        let zero = match zero {
+            zero if zero < *PRIORS.start() => *PRIORS.start(),
+            zero if zero > *PRIORS.end() => *PRIORS.end(),
+            zero => zero,
+        };
+        Self((zero as u32) << 16 | zero as u32)
     }
 
     /// Both estimates as one number.
     pub(crate) const fn to_bits(self) -> u32 {
-        (self.fast as u32) << 16 | self.slow as u32
+        self.0
     }
 
     /// The inverse of [`to_bits`](Self::to_bits).
     pub(crate) const fn from_bits(bits: u32) -> Self {
-        Self { fast: (bits >> 16) as u16, slow: bits as u16 }
+        Self(bits)
     }
 
     /// In `32 ..= 65504`.
     #[inline]
     pub(crate) fn zero(self) -> u32 {
-        ((u32::from(self.fast) + u32::from(self.slow)) >> 1).clamp(32, 65_536 - 32)
+        ((self.0 >> 16) + (self.0 & 0xffff)) >> 1
     }
 
     /// Code length of `bit`, in bits.
@@ -46,15 +51,15 @@ impl Prob {
         -(if bit { 1.0 - zero } else { zero }).log2()
     }
 
+    /// Without a branch: about half the bits are a surprise.
     #[inline]
     fn adapt(&mut self, bit: bool) {
-        if bit {
-            self.fast -= self.fast >> FAST_SHIFT;
-            self.slow -= self.slow >> SLOW_SHIFT;
-        } else {
-            self.fast += (u16::MAX - self.fast) >> FAST_SHIFT;
-            self.slow += (u16::MAX - self.slow) >> SLOW_SHIFT;
-        }
+        // The chance of what was not coded shrinks: that of a 0 as it is, that of a 1 as the complement.
+        let flip = u32::from(bit).wrapping_sub(1);
+        let chances = self.0 ^ flip;
+        let fast = chances >> FAST_SHIFT & (0xffff_0000 >> FAST_SHIFT & 0xffff_0000);
+        let slow = chances >> SLOW_SHIFT & (0xffff >> SLOW_SHIFT);
+        self.0 = (chances - fast - slow) ^ flip;
     }
 }
 
@@ -226,13 +231,10 @@ impl BitCoder for Decoder<'_> {
     #[inline]
     fn bit(&mut self, p: &mut Prob, _: bool) -> bool {
         let bound = (self.range >> 16) * p.zero();
+        // Selected, not jumped to: which it is can often not be foreseen.
         let bit = self.code >= bound;
-        if bit {
-            self.code -= bound;
-            self.range -= bound;
-        } else {
-            self.range = bound;
-        }
+        self.code -= if bit { bound } else { 0 };
+        self.range = if bit { self.range - bound } else { bound };
         p.adapt(bit);
         self.normalize();
         bit
