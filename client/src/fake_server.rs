@@ -91,7 +91,7 @@ impl FakeServer {
         }
         let (ops, _) = encoder.finish();
         self.seq.0 += 1;
-        let digest = self.state.replica().digest() as u32;
+        let digest = self.state.replica().digest() as u16;
         let (limit, lambda_px) = (Some(limit), Some(2.5));
         Batch { seq: self.seq.low(), view: view.low(), limit, lambda_px, digest, outcome: None, ops }
     }

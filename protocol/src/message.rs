@@ -9,7 +9,7 @@ use crate::quant::Lattice;
 use crate::view::View;
 
 /// Version of everything in `PROTOCOL.md`. Both ends must have the same.
-pub const PROTOCOL_VERSION: u16 = 4;
+pub const PROTOCOL_VERSION: u16 = 5;
 
 /// What a client says.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -136,8 +136,9 @@ pub struct Batch {
     /// Error threshold in force, in pixels (of the complete mesh's error for complete views, in lattice steps). `None`
     /// likewise.
     pub lambda_px: Option<f32>,
-    /// Low half of the replica's digest after the batch.
-    pub digest: u32,
+    /// Low 16 bits of the replica's digest after the batch. A mesh that differs stays different, so what one batch does not tell the next
+    /// one does.
+    pub digest: u16,
     /// Whether the view is settled with this batch, and how.
     pub outcome: Option<Outcome>,
     /// The ops.
@@ -147,10 +148,21 @@ pub struct Batch {
 /// How a view settled.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Outcome {
-    /// Largest priority of an op that is not applied, in pixels (lattice steps for complete views); 0 if all are.
+    /// Largest priority of an op that is not applied, in pixels (lattice steps for complete views); 0 if all are. Batches carry the upper
+    /// 16 bits of it, see [`rounded_up`](Self::rounded_up).
     pub error_px: f32,
     /// Whether the triangle limit kept wanted ops out.
     pub limited: bool,
+}
+
+impl Outcome {
+    /// With the error as a batch carries it: the least number of 16 bits that is not smaller, at most 1/128 more. A bound stays one.
+    pub fn rounded_up(self) -> Self {
+        let bits = self.error_px.to_bits();
+        // Rounding away from zero what is not below zero; carries go into the exponent, at most to infinity.
+        let up = if self.error_px > 0.0 && self.error_px.is_finite() { bits.saturating_add(0xffff) } else { bits };
+        Self { error_px: f32::from_bits(up & 0xffff_0000), ..self }
+    }
 }
 
 /// See [`ServerMessage::Settled`].

@@ -64,12 +64,12 @@ pub fn decode_client(bytes: &[u8]) -> Result<ClientMessage, WireError> {
 
 /// Frames up to this length are decoded under this limit.
 const SHORT_FRAME_BYTES: usize = 1 << 16;
-/// First byte of a batch's frame: its number among the server's messages.
+/// Low half of the first byte of a batch's frame: its number among the server's messages. The flags are the upper half.
 const BATCH: u8 = 1;
-const HAS_LIMIT: u8 = 1;
-const HAS_LAMBDA: u8 = 2;
-const IS_SETTLED: u8 = 4;
-const IS_LIMITED: u8 = 8;
+const HAS_LIMIT: u8 = 1 << 4;
+const HAS_LAMBDA: u8 = 2 << 4;
+const IS_SETTLED: u8 = 4 << 4;
+const IS_LIMITED: u8 = 8 << 4;
 
 /// The frame of a server's message. Batches are most of what is sent, so they have a layout of their own.
 pub fn encode_server(message: &ServerMessage) -> Vec<u8> {
@@ -80,49 +80,49 @@ pub fn encode_server(message: &ServerMessage) -> Vec<u8> {
 }
 
 fn encode_batch(batch: &Batch) -> Vec<u8> {
-    let mut out = Vec::with_capacity(batch.ops.len() + 21);
+    let mut out = Vec::with_capacity(batch.ops.len() + 16);
     let flag = |is_set: bool, flag: u8| if is_set { flag } else { 0 };
     let flags = flag(batch.limit.is_some(), HAS_LIMIT)
         | flag(batch.lambda_px.is_some(), HAS_LAMBDA)
         | flag(batch.outcome.is_some(), IS_SETTLED)
         | flag(batch.outcome.is_some_and(|outcome| outcome.limited), IS_LIMITED);
-    out.extend([BATCH, flags, batch.seq]);
+    out.extend([BATCH | flags, batch.seq]);
     out.extend(batch.view.to_le_bytes());
     out.extend(batch.digest.to_le_bytes());
     out.extend(batch.limit.iter().flat_map(|limit| limit.to_le_bytes()));
     out.extend(batch.lambda_px.iter().flat_map(|lambda| lambda.to_le_bytes()));
-    out.extend(batch.outcome.iter().flat_map(|outcome| outcome.error_px.to_le_bytes()));
+    let error = batch.outcome.map(|outcome| (outcome.rounded_up().error_px.to_bits() >> 16) as u16);
+    out.extend(error.iter().flat_map(|error| error.to_le_bytes()));
     out.extend(&batch.ops);
     out
 }
 
 fn decode_batch(bytes: &[u8]) -> Option<Batch> {
-    let (head, mut rest) = bytes.split_at_checked(9)?;
-    let flags = head[1];
-    if flags >= 2 * IS_LIMITED || flags & IS_LIMITED != 0 && flags & IS_SETTLED == 0 {
+    let (&[kind, seq, view_0, view_1, digest_0, digest_1], mut rest) = bytes.split_first_chunk()?;
+    let has = |flag: u8| kind & flag != 0;
+    if has(IS_LIMITED) && !has(IS_SETTLED) {
         return None;
     }
-    let mut word = |flag: u8| {
-        if flags & flag == 0 {
-            return Some(None);
-        }
-        let (word, after) = rest.split_first_chunk::<4>()?;
-        rest = after;
-        Some(Some(*word))
-    };
-    let limit = word(HAS_LIMIT)?.map(u32::from_le_bytes);
-    let lambda_px = word(HAS_LAMBDA)?.map(f32::from_le_bytes);
-    let error_px = word(IS_SETTLED)?.map(f32::from_le_bytes);
-    let limited = flags & IS_LIMITED != 0;
+    let limit = if has(HAS_LIMIT) { Some(u32::from_le_bytes(take(&mut rest)?)) } else { None };
+    let lambda_px = if has(HAS_LAMBDA) { Some(f32::from_le_bytes(take(&mut rest)?)) } else { None };
+    let error = if has(IS_SETTLED) { Some(u16::from_le_bytes(take(&mut rest)?)) } else { None };
+    let outcome = |error: u16| Outcome { error_px: f32::from_bits(u32::from(error) << 16), limited: has(IS_LIMITED) };
     Some(Batch {
-        seq: head[2],
-        view: u16::from_le_bytes([head[3], head[4]]),
-        digest: u32::from_le_bytes([head[5], head[6], head[7], head[8]]),
+        seq,
+        view: u16::from_le_bytes([view_0, view_1]),
+        digest: u16::from_le_bytes([digest_0, digest_1]),
         limit,
         lambda_px,
-        outcome: error_px.map(|error_px| Outcome { error_px, limited }),
+        outcome: error.map(outcome),
         ops: rest.to_vec(),
     })
+}
+
+/// The next bytes of those that are left.
+fn take<const LEN: usize>(rest: &mut &[u8]) -> Option<[u8; LEN]> {
+    let (taken, after) = rest.split_first_chunk()?;
+    *rest = after;
+    Some(*taken)
 }
 
 /// The message of a server's frame.
@@ -130,7 +130,7 @@ fn decode_batch(bytes: &[u8]) -> Option<Batch> {
 /// # Errors
 /// [`WireError`].
 pub fn decode_server(bytes: &[u8]) -> Result<ServerMessage, WireError> {
-    if bytes.first() != Some(&BATCH) || bytes.len() > MAX_FRAME_BYTES {
+    if bytes.first().is_none_or(|first| first & 0xf != BATCH) || bytes.len() > MAX_FRAME_BYTES {
         // A length that is claimed inside a frame allocates before it is found wrong: short frames may not claim much.
         return match bytes.len() {
             0..=SHORT_FRAME_BYTES => decode::<_, SHORT_FRAME_BYTES>(bytes),
@@ -205,8 +205,33 @@ mod tests {
         huge.extend([0xff; 8]);
         assert!(decode_server(&huge).is_err());
         // Flags that mean nothing, a head that ends early.
-        assert!(decode_server(&[1, 16, 1, 0, 0, 0, 0, 0, 0]).is_err());
-        assert!(decode_server(&[1, 8, 1, 0, 0, 0, 0, 0, 0]).is_err());
-        assert!(decode_server(&[1, 1, 1, 0, 0, 0, 0, 0, 0, 5, 0, 0]).is_err());
+        assert!(decode_server(&[BATCH, 1, 0, 0, 0, 0]).is_ok());
+        assert!(decode_server(&[BATCH | IS_LIMITED, 1, 0, 0, 0, 0]).is_err());
+        assert!(decode_server(&[BATCH, 1, 0, 0, 0]).is_err());
+        assert!(decode_server(&[BATCH | HAS_LIMIT, 1, 0, 0, 0, 0, 5, 0, 0]).is_err());
+        assert!(decode_server(&[BATCH | IS_SETTLED, 1, 0, 0, 0, 0, 5]).is_err());
+        assert!(decode_server(&[2 | HAS_LIMIT]).is_err());
+    }
+
+    #[test]
+    fn errors_of_batches_are_rounded_up() {
+        let mut rng = fastrand::Rng::with_seed(1);
+        let at_random = (0..100_000).map(|_| f32::from_bits(rng.u32(..0x7f80_0000)));
+        for error_px in at_random.chain([0.0, f32::MIN_POSITIVE, 1.0, 1.003, f32::MAX, f32::INFINITY]) {
+            let exact = Outcome { error_px, limited: true };
+            let sent = exact.rounded_up();
+            assert!(sent.error_px >= error_px && sent.limited, "{error_px}");
+            assert!(
+                sent.error_px <= error_px * (1.0 + 1.0 / 128.0) || !(1e-30..1e38).contains(&error_px),
+                "{error_px}"
+            );
+            assert_eq!(sent.rounded_up(), sent);
+            let head = Batch { seq: 1, view: 2, limit: None, lambda_px: None, digest: 7, outcome: None, ops: vec![] };
+            let [exact, rounded] = [exact, sent].map(|outcome| Batch { outcome: Some(outcome), ..head.clone() });
+            let frame = encode_server(&ServerMessage::Batch(exact));
+            assert_eq!(frame.len(), 8);
+            assert_eq!(decode_server(&frame).unwrap(), ServerMessage::Batch(rounded));
+        }
+        assert!(Outcome { error_px: f32::NAN, limited: false }.rounded_up().error_px.is_nan());
     }
 }

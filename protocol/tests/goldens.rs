@@ -1,4 +1,4 @@
-//! Golden frames of protocol version 4: the bytes of fixed messages and of a fixed session, as hexadecimal files. They hold
+//! Golden frames of protocol version 5: the bytes of fixed messages and of a fixed session, as hexadecimal files. They hold
 //! `PROTOCOL.md` and the code together and are never rewritten; a new version adds a folder.
 
 use std::path::PathBuf;
@@ -13,7 +13,7 @@ use lodestream_protocol::view::{Projection, View};
 use lodestream_protocol::wire::{decode_client, decode_server, encode_client, encode_server};
 
 fn folder() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden/v4")
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden/v5")
 }
 
 fn hex(bytes: &[u8]) -> String {
@@ -103,7 +103,7 @@ fn client_messages() -> Vec<(&'static str, ClientMessage)> {
     section.projection = Projection::Orthographic { height: 2.5 };
     section.clip_planes = vec![[1.0, 0.0, 0.0, -0.5]];
     section.complete = true;
-    let hello = Hello { version: 4, triangle_limit: 1_000_000, cache_entries: Some(300), byte_rate: None };
+    let hello = Hello { version: 5, triangle_limit: 1_000_000, cache_entries: Some(300), byte_rate: None };
     let resume = Resume { hello, token: token(0xa0), received: Some(BatchSeq(250)) };
     vec![
         ("hello.hex", ClientMessage::Hello(hello)),
@@ -158,7 +158,7 @@ fn server_messages() -> Vec<(&'static str, ServerMessage)> {
     let mut state = state();
     for ((seq, ops), name) in (1..).zip(batches()).zip(["batch_1.hex", "batch_2.hex", "batch_3.hex"]) {
         decode_batch(&ops, &mut state, 100).unwrap();
-        let digest = state.replica().digest() as u32;
+        let digest = state.replica().digest() as u16;
         // The first says what holds, the last that the view is settled.
         let first = seq == 1;
         let (limit, lambda_px) = (first.then_some(100), first.then_some(1.0));
@@ -201,7 +201,7 @@ fn the_session_still_decodes() {
         let ServerMessage::Batch(batch) = decode_server(&golden(name)).unwrap() else { panic!("{name} is no batch") };
         limit = batch.limit.unwrap_or(limit);
         decode_batch(&batch.ops, &mut state, limit).unwrap();
-        assert_eq!(state.replica().digest() as u32, batch.digest, "{name}");
+        assert_eq!(state.replica().digest() as u16, batch.digest, "{name}");
         triangles.push(state.replica().triangle_count());
     }
     // The last split of the first batch refers to both before it, so the second batch may undo it and the spawn only.
@@ -223,7 +223,7 @@ fn a_walked_base_is_as_it_was() {
 /// What a server must still understand of clients of other versions, to tell them the version.
 #[test]
 fn hellos_of_other_versions_decode() {
-    for version in [1, 3] {
+    for version in [1, 3, 4] {
         let ClientMessage::Hello(hello) = decode_client(&golden(&format!("../v{version}/hello.hex"))).unwrap() else {
             panic!("the hello is none")
         };

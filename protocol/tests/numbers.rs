@@ -1,4 +1,4 @@
-//! `docs/protocol-v4-numbers.json`: the trained numbers of the protocol as data, for clients in other languages.
+//! `docs/protocol-v5-numbers.json`: the trained numbers of the protocol as data, for clients in other languages.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -8,7 +8,7 @@ use lodestream_protocol::op::training::context_names;
 use lodestream_protocol::op::{SizeWeights, TRAINED};
 
 fn path() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../docs/protocol-v4-numbers.json")
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../docs/protocol-v5-numbers.json")
 }
 
 fn list<T: ToString>(items: &[T]) -> String {

@@ -82,8 +82,8 @@ pub struct SentBatch {
     pub ops: Vec<u8>,
     /// Triangle limit in force.
     pub limit: u32,
-    /// Low half of the digest after it.
-    pub digest: u32,
+    /// Low 16 bits of the digest after it.
+    pub digest: u16,
 }
 
 /// One session, from the welcome on.

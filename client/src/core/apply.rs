@@ -110,7 +110,7 @@ impl ClientSession {
         let state = &mut self.model.as_mut().expect("the inbox opens with the welcome").state;
         let Some(limit) = self.limit.filter(|_| batch.seq == next.low()) else { return self.disagree(next) };
         let result = decode_batch(&batch.ops, state, limit);
-        let digest = state.replica().digest() as u32;
+        let digest = state.replica().digest() as u16;
         let counts = match result {
             Ok(counts) if digest == batch.digest => counts,
             _ => {

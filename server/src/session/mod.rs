@@ -469,7 +469,9 @@ impl Session {
             let has_settled = work.is_done();
             running.settled_at = has_settled.then_some(now);
             let outcome = match has_settled {
-                true => Some(work.outcome(|| running.goal.error(&self.model, self.access, &current.view))?),
+                true => {
+                    Some(work.outcome(|| running.goal.error(&self.model, self.access, &current.view))?.rounded_up())
+                }
                 false => None,
             };
             running.settled = outcome.map(|outcome| Settled { view: current.seq, seq, outcome });
@@ -480,7 +482,7 @@ impl Session {
                 view: current.seq.low(),
                 limit: before.is_none_or(|told| told.0 != in_force.0).then_some(in_force.0),
                 lambda_px: before.is_none_or(|told| told.1 != in_force.1).then_some(in_force.1),
-                digest: mirror.replica().digest() as u32,
+                digest: mirror.replica().digest() as u16,
                 outcome,
                 ops,
             });

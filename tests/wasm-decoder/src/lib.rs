@@ -79,7 +79,7 @@ pub extern "C" fn frame() -> u32 {
             module.limit = batch.limit.unwrap_or(module.limit);
             let state = module.state.as_mut().expect("a welcome comes first");
             let counts = decode_batch(&batch.ops, state, module.limit).expect("the batch decodes");
-            assert_eq!(state.replica().digest() as u32, batch.digest, "the mesh is not the server's");
+            assert_eq!(state.replica().digest() as u16, batch.digest, "the mesh is not the server's");
             counts.splits
         }
         ServerMessage::Settled(_) => 0,

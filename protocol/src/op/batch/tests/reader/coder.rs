@@ -4,7 +4,7 @@ use super::Fault;
 
 /// The numbers behind `key`, after `section`, of the file, flattened.
 pub(super) fn numbers(section: &str, key: &str) -> Vec<i64> {
-    let text = include_str!("../../../../../../docs/protocol-v4-numbers.json");
+    let text = include_str!("../../../../../../docs/protocol-v5-numbers.json");
     let behind = |text: &'static str, key: &str| text.split_once(&format!("\"{key}\":")).expect("a key").1;
     let mut text = behind(text, section);
     if !key.is_empty() {
