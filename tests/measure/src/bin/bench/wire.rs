@@ -78,7 +78,7 @@ pub(crate) fn pack(subject: &Subject, report: &Report) -> anyhow::Result<()> {
 /// to the last of them here.
 fn replayed(subject: &Subject, path: Path, limit: u32) -> anyhow::Result<(SessionTrace, Spent)> {
     let trace = SessionTrace::record(&subject.test, path, limit);
-    let digest = trace.replay()?.replica().digest() as u32;
+    let digest = trace.replay()?.replica().digest() as u16;
     let last = trace.batches.last().map(|batch| batch.digest);
     ensure!(last.is_none_or(|last| last == digest), "the recording decodes to another mesh");
     let spent = trace.spent()?;
