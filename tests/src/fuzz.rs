@@ -2,6 +2,7 @@
 //! neither panic nor hang nor allocate without bound, whatever the bytes.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use fastrand::Rng;
 use glam::DVec3;
@@ -29,6 +30,9 @@ use crate::sim::{Pair, PairConfig};
 
 /// Runs one case. A target that reads files says how long the file was: its peak of memory is bounded by that.
 pub type Case = Box<dyn Fn(&mut Rng) -> Option<usize>>;
+
+/// Frames that cases have handed to a client or to a server so far.
+pub static FRAMES: AtomicU64 = AtomicU64::new(0);
 
 /// A named target.
 pub struct Target {
@@ -195,10 +199,12 @@ fn client_case(rng: &mut Rng, sessions: &[Vec<Vec<u8>>]) {
         if rng.u8(0..6) == 0 {
             let answer = encode_server(&ServerMessage::Resumed { token: Token([rng.u8(..); 16]) });
             let answer = if rng.bool() { mutated(rng, &answer) } else { answer };
+            FRAMES.fetch_add(1, Ordering::Relaxed);
             if client.handle_frame(now, &answer).is_err() {
                 break;
             }
         }
+        FRAMES.fetch_add(1, Ordering::Relaxed);
         if client.handle_frame(now, frame).is_err() {
             break;
         }
@@ -227,6 +233,7 @@ fn server_case(rng: &mut Rng, models: &[Arc<PackedModel>; 2], sessions: &[Vec<Ve
                 bytes = mutated(rng, &bytes);
             }
         }
+        FRAMES.fetch_add(1, Ordering::Relaxed);
         if server.handle_frame(now, &bytes).is_err() {
             return;
         }

@@ -4,10 +4,11 @@
 //! case alone. A reader fails, too, when it takes more memory than the length of its file allows.
 
 use std::process::ExitCode;
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use fastrand::Rng;
-use lodestream_tests::fuzz::{Target, readers, targets};
+use lodestream_tests::fuzz::{FRAMES, Target, readers, targets};
 use peak_alloc::PeakAlloc;
 
 #[global_allocator]
@@ -36,6 +37,7 @@ fn main() -> ExitCode {
             continue;
         }
         let start = Instant::now();
+        let frames = FRAMES.load(Ordering::Relaxed);
         let goes_on = |done: u64| match (seed, cases) {
             (Some(_), _) => done == 0,
             (None, Some(cases)) => done < cases,
@@ -55,7 +57,11 @@ fn main() -> ExitCode {
             done += 1;
         }
         let seconds = start.elapsed().as_secs_f64();
-        println!("{}: {done} cases in {seconds:.0} s, at most {} KiB at once", target.name, peak >> 10);
+        let of_frames = match FRAMES.load(Ordering::Relaxed) - frames {
+            0 => String::new(),
+            frames => format!(" of {frames} frames"),
+        };
+        println!("{}: {done} cases{of_frames} in {seconds:.0} s, at most {} KiB at once", target.name, peak >> 10);
     }
     if failed == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
