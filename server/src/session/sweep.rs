@@ -3,7 +3,7 @@
 
 use glam::DVec3;
 
-use super::score::Scorer;
+use super::score::{Camera, Scorer};
 use crate::pack::record::{Bounds, Cone, Magnitude};
 use crate::pack::{PAGE_OPS, TestPage};
 
@@ -26,6 +26,11 @@ pub struct Sweep {
     /// How far inside the frustum.
     inside: Box<Lanes>,
     most: Box<Lanes>,
+    /// Axes of the cones, cosines and sines of their angles, and infinity where a cone holds all directions.
+    axes: [Box<Lanes>; 3],
+    cosines: Box<Lanes>,
+    sines: Box<Lanes>,
+    never: Box<Lanes>,
     rows: usize,
 }
 
@@ -39,6 +44,10 @@ impl Default for Sweep {
             radii: lanes(),
             inside: lanes(),
             most: lanes(),
+            axes: [lanes(), lanes(), lanes()],
+            cosines: lanes(),
+            sines: lanes(),
+            never: lanes(),
             rows: 0,
         }
     }
@@ -113,54 +122,97 @@ impl Sweep {
         }
     }
 
+    /// Axes of the cones, and cosines and sines of their angles.
+    fn unpack_cones(&mut self, page: &TestPage<'_>) {
+        let rows = self.rows;
+        let [x, y, z] = self.axes.each_mut().map(|lanes| &mut lanes[..rows]);
+        let codes = page.axis[0][..rows].iter().zip(&page.axis[1][..rows]);
+        for (((x, y), z), (&u, &v)) in x.iter_mut().zip(y).zip(z).zip(codes) {
+            let (u, v) = (f32::from(u) * (1.0 / 127.0), f32::from(v) * (1.0 / 127.0));
+            let w = 1.0 - u.abs() - v.abs();
+            let folded = at_least(-w, 0.0);
+            let (u, v) = (u - folded.copysign(u), v - folded.copysign(v));
+            let scale = 1.0 / (u * u + v * v + w * w).sqrt();
+            (*x, *y, *z) = (u * scale, v * scale, w * scale);
+        }
+        let (cosines, sines, never) = (&mut self.cosines[..rows], &mut self.sines[..rows], &mut self.never[..rows]);
+        let lanes = cosines.iter_mut().zip(sines).zip(never).zip(&page.half_angle[..rows]);
+        for (((cos, sin), never), &code) in lanes {
+            let q = f32::from(code) * (1.0 / 254.0);
+            let norm = 1.0 / (1.0 + q * q);
+            (*cos, *sin) = ((1.0 - q * q) * norm, 2.0 * q * norm);
+            *never = if code == 255 { f32::INFINITY } else { 0.0 };
+        }
+    }
+
     /// The most that each may matter.
     fn look(&mut self, scorer: &Scorer, page: &TestPage<'_>) {
         let Some(camera) = scorer.camera() else { return };
+        self.weigh(scorer, &camera, page);
+        if camera.culls_facing_away {
+            self.unpack_cones(page);
+            match camera.parallel {
+                None => self.face_away::<false>(DVec3::ZERO),
+                Some(direction) => self.face_away::<true>(direction),
+            }
+        }
+    }
+
+    /// Sizes of those that are not outside.
+    fn weigh(&mut self, scorer: &Scorer, camera: &Camera, page: &TestPage<'_>) {
         let rows = self.rows;
         let forward = camera.forward.as_vec3();
-        let (near, corner_cosine) = (camera.near as f32, camera.corner_cosine as f32);
+        let corner_cosine = camera.corner_cosine as f32;
         let scale = (camera.pixel_scale * scorer.silhouette_factor()) as f32 * (1.0 + ROUNDING);
         // Planes may lie far from the eye.
         let reach = scorer.planes().iter().map(|plane| (plane.offset + plane.normal.dot(camera.eye)).abs());
         let slack = ROUNDING * reach.fold(0.0, f64::max) as f32;
-        let parallel = camera.parallel.map(DVec3::as_vec3);
+        // The depth counts no less and no more than that.
+        let (near, far) = if camera.parallel.is_some() { (1.0, 1.0) } else { (camera.near as f32, f32::INFINITY) };
         let [x, y, z] = self.ways.each_ref().map(|lanes| &lanes[..rows]);
-        let (distances, radii, insides) = (&self.distances[..rows], &self.radii[..rows], &self.inside[..rows]);
-        let (errors, half_angles) = (&page.error[..rows], &page.half_angle[..rows]);
-        let axes = page.axis.map(|axis| &axis[..rows]);
-        let most = &mut self.most[..rows];
-        for row in 0..rows {
-            let (dx, dy, dz, distance, radius) = (x[row], y[row], z[row], distances[row], radii[row]);
+        let ways = x.iter().zip(y).zip(z);
+        let found = self.distances[..rows].iter().zip(&self.radii[..rows]).zip(&self.inside[..rows]);
+        let lanes = self.most[..rows].iter_mut().zip(&page.error[..rows]).zip(ways).zip(found);
+        for (((most, &error), ((&x, &y), &z)), ((&distance, &radius), &inside)) in lanes {
             let rounding = ROUNDING * (distance + radius) + slack;
-            let along_view = dx * forward.x + dy * forward.y + dz * forward.z;
-            let depth = (along_view - radius).max((distance - radius) * corner_cosine) - rounding;
-            let depth = if parallel.is_some() { 1.0 } else { depth.max(near) };
-            let pixels = Magnitude(errors[row]).decode() * scale / depth;
-            // The cone's axis and angle, see `Cone`.
-            let (u, v) = (f32::from(axes[0][row]) / 127.0, f32::from(axes[1][row]) / 127.0);
-            let w = 1.0 - u.abs() - v.abs();
-            let folded = (-w).max(0.0);
-            let (u, v) = (u - folded.copysign(u), v - folded.copysign(v));
-            let length = (u * u + v * v + w * w).sqrt();
-            let q = f32::from(half_angles[row]) / 254.0;
-            let norm = 1.0 / (1.0 + q * q);
-            let (sin, cos) = (2.0 * q * norm, (1.0 - q * q) * norm);
-            // Of the least of `ray . n` over the cone, see `Probe::away`.
-            let (rx, ry, rz, ray, reach) = match parallel {
-                None => (dx, dy, dz, distance, radius),
-                Some(direction) => (direction.x, direction.y, direction.z, 1.0, 0.0),
-            };
-            let along = (rx * u + ry * v + rz * w) / length;
-            let across = (ray * ray - along * along).max(0.0).sqrt();
-            let away = along * cos - across * sin - reach;
-            let is_away =
-                (away > ROUNDING_ACROSS * (ray + reach)) & (half_angles[row] < 255) & camera.culls_facing_away;
-            let is_outside = insides[row] + radius < -rounding;
+            let along_view = x * forward.x + y * forward.y + z * forward.z;
+            let depth = at_least(along_view - radius, (distance - radius) * corner_cosine) - rounding;
+            let depth = at_least(depth, near);
+            let depth = if depth > far { far } else { depth };
+            let pixels = Magnitude(error).decode() * scale / depth;
             // What is not a number may matter any amount.
             let pixels = if pixels.is_nan() { f32::INFINITY } else { pixels };
-            most[row] = if is_away | is_outside { 0.0 } else { pixels };
+            *most = if inside + radius < -rounding { 0.0 } else { pixels };
         }
     }
+
+    /// What surely faces away matters nothing: the least of `ray . n` over the cone says so, see `Probe::away`.
+    fn face_away<const IS_PARALLEL: bool>(&mut self, direction: DVec3) {
+        let rows = self.rows;
+        let direction = direction.as_vec3();
+        let [x, y, z] = self.ways.each_ref().map(|lanes| &lanes[..rows]);
+        let [u, v, w] = self.axes.each_ref().map(|lanes| &lanes[..rows]);
+        let ways = x.iter().zip(y).zip(z).zip(self.distances[..rows].iter().zip(&self.radii[..rows]));
+        let axes = u.iter().zip(v).zip(w);
+        let angles = self.cosines[..rows].iter().zip(&self.sines[..rows]).zip(&self.never[..rows]);
+        let lanes = self.most[..rows].iter_mut().zip(ways).zip(axes).zip(angles);
+        for (((most, (((&x, &y), &z), (&distance, &radius))), ((&u, &v), &w)), ((&cos, &sin), &never)) in lanes {
+            let (x, y, z, ray, reach) = match IS_PARALLEL {
+                false => (x, y, z, distance, radius),
+                true => (direction.x, direction.y, direction.z, 1.0, 0.0),
+            };
+            let along = x * u + y * v + z * w;
+            let across = at_least(ray * ray - along * along, 0.0).sqrt();
+            let away = along * cos - across * sin - reach;
+            *most = if away > ROUNDING_ACROSS * (ray + reach) + never { 0.0 } else { *most };
+        }
+    }
+}
+
+/// The larger of two numbers; the second if the first is none.
+#[inline(always)]
+fn at_least(x: f32, least: f32) -> f32 {
+    if x > least { x } else { least }
 }
 
 #[cfg(test)]
