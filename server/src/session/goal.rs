@@ -85,6 +85,11 @@ impl Goal {
         self.is_known = false;
     }
 
+    /// Gives memory back until the next view.
+    pub(super) fn rest(&mut self) {
+        *self = Self { front: self.front.anew(), ..Self::default() };
+    }
+
     /// Takes aim at a view.
     ///
     /// # Errors

@@ -642,7 +642,7 @@ impl Running {
         if let Some(mirror) = self.mirror.take() {
             self.resting = Some(Box::new(Resting::new(&mirror)));
             self.work = None;
-            self.goal = Goal::default();
+            self.goal.rest();
         }
     }
 }

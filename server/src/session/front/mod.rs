@@ -28,7 +28,7 @@ use self::rows::{CHILD_IS_WANTED, Due, FILLS, Half, QUEUED, Rows, TOUCHED, Thres
 use super::score::{Probe, Scorer};
 use super::select::PageAccess;
 use crate::pack::record::{Bounds, NO_OP};
-use crate::pack::{PAGE_OPS, PackError, PackedModel, PageId, Prerequisites};
+use crate::pack::{PAGE_OPS, PackError, PackedModel, PageId};
 
 /// Share of the limit that the wanted ops and their parents take at least, where the limit binds.
 const LOW_WATER: f64 = 0.985;
@@ -106,12 +106,16 @@ pub(crate) struct Front {
     fills: Vec<u32>,
     touched: Vec<u32>,
     trend: Trend,
+    /// Threshold of the front that was there before, if any.
+    before: Option<f32>,
     // Work space.
     /// Rows to look at, each once, with their ops above them: rows stay where they are during an update.
     work: Vec<u64>,
     /// Those of them that are looked at in this pass.
     pass: Vec<u64>,
     stack: Vec<u32>,
+    /// Ops of a closure whose pages are missing.
+    unread: Vec<u32>,
     closure: Closure,
 }
 
@@ -329,6 +333,12 @@ impl Front {
         self.rows.state(op).is_member()
     }
 
+    /// A front that begins anew where this one is: with its threshold, which probably fits what comes after a rest.
+    pub(crate) fn anew(&self) -> Self {
+        let before = if self.kind.is_some() { Some(self.threshold) } else { self.before };
+        Self { before, ..Self::default() }
+    }
+
     /// Makes room for so many members, if nothing was looked at yet.
     pub(crate) fn reserve(&mut self, members: usize) {
         if self.kind.is_none() {
@@ -420,7 +430,8 @@ impl Front {
             self.triangles = context.model.base().faces.len() as u32;
             // From above, so that a first view under a limit is not overshot.
             let may_bind = u64::from(context.limit) < context.model.info().triangles;
-            self.threshold = if may_bind { f32::MAX } else { tolerance };
+            let high = self.before.map_or(f32::MAX, |before| before.max(tolerance));
+            self.threshold = if may_bind { high } else { tolerance };
         } else if self.tolerance != tolerance {
             // Where the limit binds, the tolerance only matters once it is over the threshold.
             let is_limited = self.threshold > self.tolerance;
@@ -744,29 +755,32 @@ impl Front {
 
     /// Takes an op in with its closure, unless a page of that is missing, and will look at it.
     fn want(&mut self, context: &mut Context<'_>, op: u32, priority: f32) -> Result<bool, PackError> {
-        let row = self.rows.find(op);
-        let was_in = row.is_some_and(|row| self.rows.states[row].is_closed_in());
-        let mut needs = if was_in { Prerequisites::NONE } else { context.model.prerequisites(op)? };
-        if context.pages.access == PageAccess::ReadAhead && !was_in {
-            let Self { closure, rows, .. } = self;
-            let is_present = |op: u32| rows.state(op).is_closed_in();
-            // Mostly nothing but the op itself is to come.
-            let is_next = needs.as_slice().iter().all(|&op| is_present(op)) && context.pages.has_op(op, priority);
-            if !is_next && !closure.gather(context.model, op, is_present, |op| context.pages.has_op(op, priority))? {
-                return Ok(false);
-            }
-        }
         let row = self.touch(op);
-        self.rows.states[row].flags |= WANTED;
+        let state = &mut self.rows.states[row];
+        let was_in = state.is_closed_in();
+        state.flags |= WANTED;
         self.rows.dues[row] = Due::NOW;
-        self.queue(op, row);
-        if was_in {
-            return Ok(true);
+        if !was_in && !self.enter(context, op, priority)? {
+            self.rows.states[row].flags &= !WANTED;
+            self.rows.dues[row] = Due::NEVER;
+            self.withdraw(context, op)?;
+            return Ok(false);
         }
-        let mut next = op;
-        loop {
-            self.triangles += context.model.triangles_of(next)?;
-            for &parent in needs.as_slice() {
+        self.queue(op, row);
+        Ok(true)
+    }
+
+    /// Counts in the closure of an op that has come in. False if a page of it is missing: then as much of it as can be read was counted, and is to be
+    /// [withdrawn](Self::withdraw); pages of all its branches are asked for.
+    fn enter(&mut self, context: &mut Context<'_>, op: u32, priority: f32) -> Result<bool, PackError> {
+        self.stack.push(op);
+        while let Some(op) = self.stack.pop() {
+            if !context.pages.has_op(op, priority) {
+                self.unread.push(op);
+                continue;
+            }
+            self.triangles += context.model.triangles_of(op)?;
+            for &parent in context.model.prerequisites(op)?.as_slice() {
                 let row = self.touch(parent);
                 let state = &mut self.rows.states[row];
                 let was_in = state.is_closed_in();
@@ -775,10 +789,30 @@ impl Front {
                     self.stack.push(parent);
                 }
             }
-            let Some(op) = self.stack.pop() else { return Ok(true) };
-            next = op;
-            needs = context.model.prerequisites(op)?;
         }
+        Ok(self.unread.is_empty())
+    }
+
+    /// Takes the closure of an op out that does not belong to it any more, but for what others need.
+    fn withdraw(&mut self, context: &Context<'_>, op: u32) -> Result<(), PackError> {
+        self.stack.push(op);
+        while let Some(op) = self.stack.pop() {
+            // A page may have come since.
+            if self.unread.contains(&op) {
+                continue;
+            }
+            self.triangles -= context.model.triangles_of(op)?;
+            for &parent in context.model.prerequisites(op)?.as_slice() {
+                let row = self.touch(parent);
+                let state = &mut self.rows.states[row];
+                state.references -= 1;
+                if !state.is_closed_in() {
+                    self.stack.push(parent);
+                }
+            }
+        }
+        self.unread.clear();
+        Ok(())
     }
 
     /// The op is not wanted any more, and its forest parent will be looked at.
@@ -802,22 +836,7 @@ impl Front {
         state.flags &= !WANTED;
         let is_in = state.is_closed_in();
         self.rows.dues[row] = Due::NEVER;
-        if is_in {
-            return Ok(());
-        }
-        self.stack.push(op);
-        while let Some(op) = self.stack.pop() {
-            self.triangles -= context.model.triangles_of(op)?;
-            for &parent in context.model.prerequisites(op)?.as_slice() {
-                let row = self.touch(parent);
-                let state = &mut self.rows.states[row];
-                state.references -= 1;
-                if !state.is_closed_in() {
-                    self.stack.push(parent);
-                }
-            }
-        }
-        Ok(())
+        if is_in { Ok(()) } else { self.withdraw(context, op) }
     }
 
     /// The row of an op, noted as one that may change.
