@@ -39,8 +39,8 @@ const MOVING_LOW_WATER: f64 = 0.96;
 const MOVING_AIM: f64 = 0.993;
 /// Where a threshold that goes along with the sizes leads, how fast it follows them, and how much of what is amiss it makes up for in a view.
 const TREND_AIM: f64 = 0.98;
-const TREND_SHARE: f64 = 0.5;
-const TREND_PULL: f64 = 0.15;
+const TREND_SHARE: f64 = 0.6;
+const TREND_PULL: f64 = 0.3;
 /// Logarithm of the most that it moves by itself in a view.
 const MOST_TREND: f64 = 0.05;
 /// How the size of a closure falls with the threshold: by about the power -1.6.
