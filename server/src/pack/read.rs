@@ -42,6 +42,15 @@ pub struct SplitFields {
     pub s_color_move: [u8; 3],
 }
 
+impl SplitFields {
+    /// The parents that it names as ops, in no order, some perhaps twice: all of them but the spawns that root faces belong to.
+    #[inline]
+    pub fn named_parents(&self) -> impl Iterator<Item = u32> + use<> {
+        let owner = |cut| if let CutRef::Split { op, .. } = cut { op } else { NO_OP };
+        [self.tree_parent, owner(self.left), owner(self.right)].into_iter().filter(|&op| op != NO_OP)
+    }
+}
+
 /// What a view takes in with an op, see [`PackedModel::prerequisites`].
 #[derive(Clone, Copy, Debug)]
 pub struct Prerequisites {

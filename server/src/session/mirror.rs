@@ -7,7 +7,7 @@ use lodestream_protocol::op::{BatchEncoder, DecodeError, OpCounts, OpState};
 use super::op_index::OpSlots;
 use super::select::OpMap;
 use crate::pack::place::Place;
-use crate::pack::{PackError, PackedModel};
+use crate::pack::{PackError, PackedModel, SplitFields};
 
 /// Why a batch could not be made.
 #[derive(Debug, thiserror::Error)]
@@ -74,9 +74,19 @@ impl Mirror {
         self.slots.iter()
     }
 
+    /// How many ops are applied.
+    pub(crate) fn applied_count(&self) -> usize {
+        self.slots.len()
+    }
+
     /// Slot that an applied op is addressed by.
     pub(crate) fn slot(&self, op: u32) -> Option<u32> {
         self.slots.slot(op)
+    }
+
+    /// Op that is addressed by a slot.
+    pub(crate) fn op_at(&self, slot: u32) -> Option<u32> {
+        self.slots.op_at(slot)
     }
 
     pub(crate) fn is_applied(&self, op: u32) -> bool {
@@ -199,25 +209,25 @@ fn split(
 ) -> Result<(), MirrorError> {
     // The round of an op is one more than that of its latest parent in this batch: then it is legal, and by the rule of
     // neighbouring faces its vertex is among those that the round before touched.
-    let mut by_round: Vec<Vec<u32>> = Vec::new();
+    let mut by_round: Vec<Vec<(u32, SplitFields)>> = Vec::new();
     let mut round_of: OpMap<u32> = OpMap::default();
     for &op in ops.iter().filter(|&&op| op >= model.spawn_count()) {
-        let (parents, count) = model.parents(op)?;
-        let round = parents[..count].iter().filter_map(|parent| round_of.get(parent)).map(|round| round + 1).max();
+        let fields = model.split(op)?;
+        let round = fields.named_parents().filter_map(|parent| round_of.get(&parent)).map(|round| round + 1).max();
         let round = round.unwrap_or(0);
         round_of.insert(op, round);
         if by_round.len() <= round as usize {
             by_round.resize(round as usize + 1, Vec::new());
         }
-        by_round[round as usize].push(op);
+        by_round[round as usize].push((op, fields));
     }
     let (mut members, mut order, mut vertices) = (Vec::new(), Vec::new(), Vec::new());
     for (round, ops) in by_round.iter().enumerate() {
         members.clear();
         order.clear();
-        for &op in ops {
-            let fields = model.split(op)?;
-            let place = Place::find(model, encoder.replica(), |op| slots.slot(op), &fields)?
+        for (op, fields) in ops {
+            let op = *op;
+            let place = Place::find(model, encoder.replica(), |op| slots.slot(op), fields)?
                 .ok_or_else(|| missing(op, "a parent is not applied"))?;
             let vertex = NewVertex {
                 position: fields.position,

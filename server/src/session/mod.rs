@@ -37,7 +37,7 @@ use std::time::Duration;
 
 use lodestream_protocol::ids::{BatchSeq, Token, ViewSeq};
 use lodestream_protocol::limits::MAX_OPS_PER_BATCH;
-use lodestream_protocol::mesh::{Replica, SlotSet};
+use lodestream_protocol::mesh::Replica;
 use lodestream_protocol::message::{
     Batch, ClientMessage, CloseCode, Hello, Outcome, PROTOCOL_VERSION, ServerMessage, Settled,
 };
@@ -46,7 +46,7 @@ use lodestream_protocol::view::View;
 use lodestream_protocol::wire;
 
 use self::front::Effort;
-use self::goal::{Aim, Goal};
+use self::goal::{Aim, Goal, Stale};
 use self::mirror::{BatchPlan, Mirror, MirrorError};
 use self::pacer::Pacer;
 use self::rest::Resting;
@@ -268,10 +268,6 @@ struct Work {
     /// Ops to apply, parents first, in order of priority; done up to `next`.
     pending: Vec<u32>,
     next: usize,
-    /// Slots of ops that the view does not ask for.
-    stale: SlotSet,
-    /// Those among `stale` that may stay until the view has rested.
-    reluctant: SlotSet,
     lambda: f32,
     /// See [`Aim`].
     error: Option<f32>,
@@ -449,13 +445,14 @@ impl Session {
             let effort = if has_rested { Effort::Exact } else { Effort::Moving };
             let aim = running.goal.aim(&self.model, self.access, &current.view, mirror, effort)?;
             self.stats.tested += u64::from(aim.tested);
-            running.work = Some(Work::new(self.access, aim, mirror));
+            running.work = Some(Work::new(self.access, aim));
         }
         let work = running.work.as_mut().expect("made above");
         if has_rested && work.missing.is_empty() {
-            work.reluctant = SlotSet::default();
+            running.goal.stale().let_go();
         }
-        if let Some(mut plan) = work.next_batch(&self.model, mirror, current.view.triangle_limit, allowance)? {
+        let limit = current.view.triangle_limit;
+        if let Some(mut plan) = work.next_batch(&self.model, mirror, running.goal.stale(), limit, allowance)? {
             let (ops, counts, applied) = mirror.batch(&self.model, &mut plan)?;
             work.next += applied;
             running.last_seq.0 += 1;
@@ -466,7 +463,7 @@ impl Session {
             self.stats.spawns += u64::from(counts.spawns);
             self.stats.despawns += u64::from(counts.despawns);
             let seq = running.last_seq;
-            let has_settled = work.is_done();
+            let has_settled = work.is_done() && !running.goal.has_stale();
             running.settled_at = has_settled.then_some(now);
             let outcome = match has_settled {
                 true => {
@@ -494,7 +491,7 @@ impl Session {
             self.stats.bytes_sent += frame.len() as u64;
             return Ok(Some(frame));
         }
-        if !work.is_done() {
+        if !work.is_done() || running.goal.has_stale() {
             return Ok(None);
         }
         running.settled_at = Some(now);
@@ -538,7 +535,7 @@ impl Session {
             return None;
         }
         // Once the view has rested, or where pages are missing, nothing but a frame from the client changes what can be sent.
-        let has_more = |work: &Work| work.is_rough || work.missing.is_empty() && !work.reluctant.is_empty();
+        let has_more = |work: &Work| work.is_rough || work.missing.is_empty() && running.goal.has_reluctant();
         let rested = work.is_some_and(has_more).then_some(current.received_at + HYSTERESIS);
         [running.pacer.next_refill(), rested].into_iter().flatten().min()
     }
@@ -620,10 +617,7 @@ impl Session {
 
 impl Running {
     fn heap_bytes(&self) -> usize {
-        let work = self
-            .work
-            .as_ref()
-            .map_or(0, |work| work.pending.capacity() * 4 + work.stale.heap_bytes() + work.reluctant.heap_bytes());
+        let work = self.work.as_ref().map_or(0, |work| work.pending.capacity() * 4);
         let mirror = self.mirror.as_ref().map_or(0, Mirror::heap_bytes);
         let resting = self.resting.as_ref().map_or(0, |resting| resting.heap_bytes());
         mirror + self.goal.heap_bytes() + resting + work + self.unacknowledged.heap_bytes()
@@ -650,28 +644,16 @@ impl Running {
         if let Some(mirror) = self.mirror.take() {
             self.resting = Some(Box::new(Resting::new(&mirror)));
             self.work = None;
-            self.goal = Goal::default();
+            self.goal.rest();
         }
     }
 }
 
 impl Work {
-    fn new(access: PageAccess, aim: Aim, mirror: &Mirror) -> Self {
-        let is_whole = aim.missing.is_empty();
-        let (mut stale, mut reluctant) = (SlotSet::default(), SlotSet::default());
-        for (op, priority) in aim.stale {
-            let Some(slot) = mirror.slot(op) else { continue };
-            stale.insert(slot);
-            // What a part of P* leaves out may belong to the whole.
-            if !is_whole || priority > HYSTERESIS_SHARE * aim.lambda {
-                reluctant.insert(slot);
-            }
-        }
+    fn new(access: PageAccess, aim: Aim) -> Self {
         Self {
             pending: aim.pending,
             next: 0,
-            stale,
-            reluctant,
             lambda: aim.lambda,
             error: aim.error,
             is_limited: aim.is_limited,
@@ -690,8 +672,9 @@ impl Work {
         Ok(Outcome { error_px, limited: self.is_limited })
     }
 
+    /// Whether nothing is left to apply.
     fn is_done(&self) -> bool {
-        self.next == self.pending.len() && self.stale.is_empty() && self.missing.is_empty() && !self.is_rough
+        self.next == self.pending.len() && self.missing.is_empty() && !self.is_rough
     }
 
     /// Whether nothing is left to do before a page was read.
@@ -700,27 +683,29 @@ impl Work {
     }
 
     /// What to do with an allowance of so many bytes, or `None` when there is nothing to do now.
-    fn next_batch(
-        &mut self,
+    fn next_batch<'a>(
+        &'a self,
         model: &PackedModel,
         mirror: &Mirror,
+        stale: &'a mut Stale,
         limit: u32,
         allowance: usize,
-    ) -> Result<Option<BatchPlan<'_>>, PackError> {
+    ) -> Result<Option<BatchPlan<'a>>, PackError> {
         let is_over = mirror.replica().triangle_count() > limit;
         let room = limit.saturating_sub(mirror.replica().triangle_count()) as usize;
         let most = if room < 2 * MOST_SPLITS { MOST_SPLITS_AT_LIMIT } else { MOST_SPLITS };
         let budget = (allowance / BYTES_PER_SPLIT).clamp(MIN_OPS, most);
         let left = &self.pending[self.next..];
         let ops = if is_over { &[] } else { &left[..fitting(model, left, budget)?] };
-        let may_go = |slot| mirror.replica().collapsible().contains(slot) && !self.reluctant.contains(slot);
-        if ops.is_empty() && !is_over && !self.stale.iter().any(may_go) {
+        let Stale { slots: stale, reluctant, .. } = stale;
+        let may_go = |slot| mirror.replica().collapsible().contains(slot) && !reluctant.contains(slot);
+        if ops.is_empty() && !is_over && (stale.len() == reluctant.len() || !stale.iter().any(may_go)) {
             return Ok(None);
         }
         // What a view left behind goes in small shares while there are splits to send, then as fast as the link allows.
         let spare = if left.is_empty() { budget } else { budget / 4 };
         let spare_collapses = spare.min(2 * MOST_SPLITS_AT_LIMIT) as u32;
-        Ok(Some(BatchPlan { ops, stale: &mut self.stale, reluctant: &mut self.reluctant, spare_collapses, limit }))
+        Ok(Some(BatchPlan { ops, stale, reluctant, spare_collapses, limit }))
     }
 }
 

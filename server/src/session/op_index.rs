@@ -18,6 +18,14 @@ impl OpIndex {
         self.places.capacity() * 4
     }
 
+    /// Makes room for so many in all, as much as they would take one by one.
+    pub(super) fn reserve(&mut self, len: usize, op_of: impl Fn(u32) -> u32) {
+        let places = 7 * len / 4;
+        if places > self.places.len() {
+            self.resize(places, &op_of);
+        }
+    }
+
     #[inline]
     fn home(&self, op: u32) -> usize {
         // Ids come from the pack, so nobody outside chooses them.
@@ -100,9 +108,12 @@ impl OpIndex {
     }
 
     fn grow(&mut self, op_of: &impl Fn(u32) -> u32) {
+        self.resize(self.places.len() + self.places.len() / 4, op_of);
+    }
+
+    fn resize(&mut self, len: usize, op_of: &impl Fn(u32) -> u32) {
         let before = std::mem::take(&mut self.places);
-        let len = (before.len() + before.len() / 4).max(64);
-        self.places = vec![EMPTY; len];
+        self.places = vec![EMPTY; len.max(64)];
         for place in before.into_iter().filter(|&place| place != EMPTY) {
             let at = self.probe(op_of(place), op_of);
             self.places[at] = place;
@@ -123,10 +134,28 @@ impl OpSlots {
         self.op_at.capacity() * 4 + self.index.heap_bytes()
     }
 
+    /// For so many ops at slots below that.
+    pub(super) fn with_capacity(slots: usize, ops: usize) -> Self {
+        let mut index = OpIndex::default();
+        index.reserve(ops, |_| NO_OP);
+        Self { op_at: Vec::with_capacity(slots), index }
+    }
+
+    /// How many ops there are.
+    pub(super) fn len(&self) -> usize {
+        self.index.len
+    }
+
     /// Slot that an applied op is addressed by.
     #[inline]
     pub(super) fn slot(&self, op: u32) -> Option<u32> {
         self.index.find(op, |slot| self.op_at[slot as usize])
+    }
+
+    /// Op that is addressed by a slot.
+    #[inline]
+    pub(super) fn op_at(&self, slot: u32) -> Option<u32> {
+        self.op_at.get(slot as usize).copied().filter(|&op| op != NO_OP)
     }
 
     /// Ops and their slots, ascending by slot.

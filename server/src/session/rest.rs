@@ -73,7 +73,7 @@ impl Resting {
 
     /// Ops and the slots they are addressed by.
     pub(super) fn applied(&self) -> OpSlots {
-        let mut slots = OpSlots::default();
+        let mut slots = OpSlots::with_capacity(64 * self.is_made.len(), self.ops.len());
         for (slot, op) in self.made() {
             // A spawn is addressed by its first slot.
             if slots.slot(op).is_none() {
@@ -90,32 +90,34 @@ impl Resting {
         let misfit = |op, reason: &str| MirrorError::Op { op, reason: reason.into() };
         self.insert_spawns(model, &mut mirror)?;
         let mut fan = Fan::default();
-        let mut pending: Vec<u32> = Vec::new();
+        let mut pending: Vec<(u32, VertexSlot)> = Vec::new();
         let find = |op| slots.slot(op);
-        for (_, op) in self.made() {
-            if op >= model.spawn_count() {
-                pending.push(op);
-            }
-            while let Some(&op) = pending.last() {
-                let slot = VertexSlot(find(op).ok_or_else(|| misfit(op, "a parent is not applied"))?);
+        let first_split = model.spawn_count();
+        for (slot, op) in self.made().filter(|&(_, op)| op >= first_split) {
+            pending.push((op, VertexSlot(slot)));
+            while let Some(&(op, slot)) = pending.last() {
                 let replica = mirror.state.replica_mut();
                 if replica.split_from(slot).is_some() {
                     pending.pop();
                     continue;
                 }
-                let (parents, count) = model.parents(op)?;
-                let waiting = pending.len();
-                for &parent in parents[..count].iter().filter(|&&parent| parent >= model.spawn_count()) {
-                    if find(parent).is_none_or(|slot| replica.split_from(VertexSlot(slot)).is_none()) {
-                        pending.push(parent);
-                    }
-                }
-                if pending.len() > waiting {
-                    continue;
-                }
                 let fields = model.split(op)?;
-                let place =
-                    Place::find(model, replica, find, &fields)?.ok_or_else(|| misfit(op, "a parent is not applied"))?;
+                let is_there = |op, slot| op < first_split || replica.split_from(VertexSlot(slot)).is_some();
+                let find_there = |op| find(op).filter(|&slot| is_there(op, slot));
+                let Some(place) = Place::find(model, replica, find_there, &fields)? else {
+                    let waiting = pending.len();
+                    for parent in fields.named_parents() {
+                        match find(parent) {
+                            Some(slot) if is_there(parent, slot) => {}
+                            Some(slot) => pending.push((parent, VertexSlot(slot))),
+                            None => return Err(misfit(op, "a parent is not applied")),
+                        }
+                    }
+                    if pending.len() == waiting {
+                        return Err(misfit(op, "a parent is not applied"));
+                    }
+                    continue;
+                };
                 replica.fan(place.s, &mut fan).map_err(|error| misfit(op, &error.to_string()))?;
                 let cut = place.cut(replica, &fan).map_err(|error| misfit(op, &error.to_string()))?;
                 replica

@@ -8,8 +8,8 @@
 //!   update looks at the rows that are due, found by a scan of 28 bytes a row.
 //!
 //! The threshold is the tolerance as long as the closure fits the triangle limit. Where it does not, the threshold stays where the closure
-//! takes 96 to 100 % of the limit while the camera moves ([`Effort::Moving`]); else 98.5 to 100 %, and the rest is filled best-first, in the order
-//! that `select` has.
+//! takes 96 to 100 % of the limit while the camera moves ([`Effort::Moving`]), and goes along with the sizes from view to view; else 98.5 to 100 %, and
+//! the rest is filled best-first, in the order that `select` has.
 //!
 //! Cost of an update: a few nanoseconds a row, and some 100 ns for each row that is due and each op that comes or goes.
 
@@ -24,10 +24,10 @@ use lodestream_protocol::view::View;
 
 pub(super) use self::fill::Closure;
 use self::motion::{Motion, SumAt, bin_of};
-use self::rows::{CHILD_IS_WANTED, Due, FILLS, Half, Rows, TOUCHED, TurnsAt, WANTED, WAS_MEMBER};
+use self::rows::{CHILD_IS_WANTED, Due, FILLS, Half, QUEUED, Rows, TOUCHED, Threshold, TurnsAt, WANTED, WAS_MEMBER};
 use super::score::{Probe, Scorer};
 use super::select::PageAccess;
-use crate::pack::record::NO_OP;
+use crate::pack::record::{Bounds, NO_OP};
 use crate::pack::{PAGE_OPS, PackError, PackedModel, PageId};
 
 /// Share of the limit that the wanted ops and their parents take at least, where the limit binds.
@@ -37,6 +37,12 @@ const AIM: f64 = 0.994;
 /// The same while the camera moves: a threshold that is moved seldom costs less, and few see a twenty-fifth of the triangles missing.
 const MOVING_LOW_WATER: f64 = 0.96;
 const MOVING_AIM: f64 = 0.993;
+/// Where a threshold that goes along with the sizes leads, how fast it follows them, and how much of what is amiss it makes up for in a view.
+const TREND_AIM: f64 = 0.98;
+const TREND_SHARE: f64 = 0.6;
+const TREND_PULL: f64 = 0.3;
+/// Logarithm of the most that it moves by itself in a view.
+const MOST_TREND: f64 = 0.05;
 /// How the size of a closure falls with the threshold: by about the power -1.6.
 const THRESHOLD_POWER: f64 = 0.6;
 /// Where a threshold of zero is raised to.
@@ -45,11 +51,17 @@ const SMALLEST_THRESHOLD: f32 = 1.0 / 1024.0;
 const MOST_RAISES: u32 = 80;
 /// A closure that outgrows the limit by this share is given up and the threshold raised.
 const OVERSHOOT: u32 = 4;
+/// While the camera moves, an op may be larger than the threshold by this factor before it is taken in, and smaller before it goes. What comes
+/// near the threshold is otherwise looked at again and again before it has passed it.
+const MOVING_FACTOR: f32 = 1.1;
+/// Rows whose bounds are read before the first of them is looked at, so that the waits for memory overlap.
+const READ_AT_ONCE: usize = 16;
 
 /// How far an update goes where the triangle limit binds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Effort {
-    /// To a set that is closed under parents and takes nearly all of the limit: the next view will come at once.
+    /// To a set that is closed under parents: the next view will come at once. Where the limit binds it takes nearly all of that; elsewhere ops
+    /// whose sizes are within [`MOVING_FACTOR`] of the tolerance may be in it or not.
     Moving,
     /// To P*.
     Exact,
@@ -93,11 +105,54 @@ pub(crate) struct Front {
     triangles: u32,
     fills: Vec<u32>,
     touched: Vec<u32>,
+    trend: Trend,
+    /// Threshold of the front that was there before, if any.
+    before: Option<f32>,
     // Work space.
-    /// Rows to look at with their ops above them: rows stay where they are during an update.
+    /// Rows to look at, each once, with their ops above them: rows stay where they are during an update.
     work: Vec<u64>,
+    /// Those of them that are looked at in this pass.
+    pass: Vec<u64>,
     stack: Vec<u32>,
+    /// Ops of a closure whose pages are missing.
+    unread: Vec<u32>,
     closure: Closure,
+}
+
+/// How a limit moves the threshold from view to view while the camera moves.
+#[derive(Clone, Copy, Debug, Default)]
+struct Trend {
+    /// Logarithm of the threshold's growth in a view.
+    rate: f64,
+    /// Threshold and triangles after the last view, if that was one of a camera that moved and the limit did bind.
+    last: Option<(f32, u32)>,
+}
+
+impl Trend {
+    /// What a threshold is moved to before a view is looked at, so that it goes along with the sizes instead of behind them.
+    fn ahead(&self, threshold: f32) -> f32 {
+        if self.last.is_some() { threshold * self.rate.exp() as f32 } else { threshold }
+    }
+
+    /// After a view: the limit did bind.
+    fn note(&mut self, threshold: f32, triangles: u32, limit: u32) {
+        let share = f64::from(triangles) / f64::from(limit.max(1));
+        if let Some((before, triangles_before)) = self.last {
+            let moved = f64::from(threshold / before).ln();
+            let grown = f64::from(triangles) / f64::from(triangles_before.max(1));
+            // What would have kept the closure as large as it was.
+            let needed = moved + THRESHOLD_POWER * grown.ln();
+            let rate = (1.0 - TREND_SHARE) * self.rate + TREND_SHARE * needed;
+            let rate = rate + TREND_PULL * THRESHOLD_POWER * (share / TREND_AIM).ln();
+            // What a camera does that jumps says nothing about the next view.
+            self.rate = if needed.abs() < 0.2 { rate.clamp(-MOST_TREND, MOST_TREND) } else { 0.0 };
+        }
+        self.last = Some((threshold, triangles));
+    }
+
+    fn stop(&mut self) {
+        *self = Self::default();
+    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -112,6 +167,8 @@ struct Context<'a> {
     scorer: &'a Scorer,
     pages: Pages<'a>,
     limit: u32,
+    /// Factor between the threshold and the sizes at which an answer counts as changed.
+    leniency: f32,
     tested: u32,
 }
 
@@ -139,6 +196,18 @@ impl Pages<'_> {
         self.has(PackedModel::page_of(op), priority)
             && (op >= self.model.spawn_count() || self.has(PackedModel::patch_page_of(op), priority))
     }
+}
+
+/// What a look at a row needs, as far as it was read before.
+#[derive(Clone, Copy)]
+struct Glance {
+    /// Of the next split of `s` and the first of `t`.
+    children: [Option<Bounds>; 2],
+    own: Option<Bounds>,
+}
+
+impl Glance {
+    const NOTHING: Self = Self { children: [None; 2], own: None };
 }
 
 /// What several tests wait for, together.
@@ -264,8 +333,22 @@ impl Front {
         self.rows.state(op).is_member()
     }
 
+    /// A front that begins anew where this one is: with its threshold, which probably fits what comes after a rest.
+    pub(crate) fn anew(&self) -> Self {
+        let before = if self.kind.is_some() { Some(self.threshold) } else { self.before };
+        Self { before, ..Self::default() }
+    }
+
+    /// Makes room for so many members, if nothing was looked at yet.
+    pub(crate) fn reserve(&mut self, members: usize) {
+        if self.kind.is_none() {
+            self.rows.reserve(members);
+        }
+    }
+
     pub(crate) fn heap_bytes(&self) -> usize {
-        let lists = self.fills.capacity() + self.touched.capacity() + 2 * self.work.capacity() + self.stack.capacity();
+        let work = 2 * (self.work.capacity() + self.pass.capacity());
+        let lists = self.fills.capacity() + self.touched.capacity() + work + self.stack.capacity();
         self.rows.heap_bytes() + self.motion.heap_bytes() + self.spawns.capacity() * size_of::<SpawnRow>() + lists * 4
     }
 
@@ -282,9 +365,20 @@ impl Front {
         effort: Effort,
     ) -> Result<Update, PackError> {
         let pages = Pages { model, access, missing: HashMap::new() };
-        let mut context = Context { model, scorer, pages, limit: view.triangle_limit, tested: 0 };
+        // Without a view before there is nothing that could stay as it is, and a limit that binds moves the threshold for all ops.
+        let is_lenient = effort == Effort::Moving && self.kind.is_some() && self.threshold <= scorer.threshold();
+        let leniency = if is_lenient { MOVING_FACTOR } else { 1.0 };
+        let mut context = Context { model, scorer, pages, limit: view.triangle_limit, leniency, tested: 0 };
         self.begin(&mut context, view);
+        let is_bound = self.threshold > self.tolerance;
+        match effort {
+            Effort::Moving if is_bound => self.threshold = self.trend.ahead(self.threshold).max(self.tolerance),
+            _ => self.trend.stop(),
+        }
         let filled = self.adjust(&mut context, effort)?;
+        if effort == Effort::Moving && self.threshold > self.tolerance {
+            self.trend.note(self.threshold, self.triangles, context.limit);
+        }
         let mut out = Update {
             lambda: scorer.threshold(),
             missing: ordered(context.pages.missing),
@@ -292,7 +386,7 @@ impl Front {
             ..Update::default()
         };
         out.has_failed = filled.is_some_and(|filled| filled.has_failed);
-        out.is_rough = filled.is_some_and(|filled| filled.is_rough);
+        out.is_rough = is_lenient || filled.is_some_and(|filled| filled.is_rough);
         if let Some(filled) = filled.filter(|filled| filled.is_limited) {
             (out.lambda, out.error, out.is_limited) = (filled.lambda, Some(filled.error), true);
         }
@@ -316,6 +410,7 @@ impl Front {
         // A first view touches as much as a thousand others.
         give_back(&mut self.touched, touched);
         give_back(&mut self.work, touched);
+        give_back(&mut self.pass, touched);
         give_back(&mut self.stack, touched);
         Ok(out)
     }
@@ -335,7 +430,8 @@ impl Front {
             self.triangles = context.model.base().faces.len() as u32;
             // From above, so that a first view under a limit is not overshot.
             let may_bind = u64::from(context.limit) < context.model.info().triangles;
-            self.threshold = if may_bind { f32::MAX } else { tolerance };
+            let high = self.before.map_or(f32::MAX, |before| before.max(tolerance));
+            self.threshold = if may_bind { high } else { tolerance };
         } else if self.tolerance != tolerance {
             // Where the limit binds, the tolerance only matters once it is over the threshold.
             let is_limited = self.threshold > self.tolerance;
@@ -370,6 +466,8 @@ impl Front {
         loop {
             steps += 1;
             self.refresh(context)?;
+            // Only what was there at the tolerance may stay as it is: a threshold that the limit moves is moved for all ops.
+            context.leniency = 1.0;
             if steps > 2 * MOST_RAISES {
                 return Ok(Some(fill::Filled { has_failed: true, ..fill::Filled::default() }));
             }
@@ -443,15 +541,15 @@ impl Front {
     /// Looks at all that is due and follows what that leads to.
     fn refresh(&mut self, context: &mut Context<'_>) -> Result<(), PackError> {
         let (threshold, near) = (self.threshold, down(context.scorer.near()));
+        let lenient = Threshold { low: threshold / context.leniency, high: threshold * context.leniency };
         self.work.clear();
         let sums = self.motion.sums();
-        for (row, (due, state)) in self.rows.dues.iter().zip(&self.rows.states).enumerate() {
-            if due.is_now(sums, state.cell, threshold, near) {
+        for (row, (due, state)) in self.rows.dues.iter().zip(&mut self.rows.states).enumerate() {
+            if due.is_now(sums, state.cell, &lenient, near) {
+                state.flags |= QUEUED;
                 self.work.push(u64::from(self.rows.ops[row]) << 32 | row as u64);
             }
         }
-        // Ops of a page together.
-        self.work.sort_unstable_by_key(|&entry| std::cmp::Reverse(entry));
         for &op in context.model.base_first_splits() {
             if op == NO_OP || self.rows.state(op).flags & WANTED != 0 {
                 continue;
@@ -466,23 +564,77 @@ impl Front {
         self.see_spawns(context, threshold)?;
         for op in 0..self.spawns.len() as u32 {
             let SpawnRow { due, cell } = self.spawns[op as usize];
-            let is_due = due.is_now(self.motion.sums(), cell, threshold, near);
+            let is_due = due.is_now(self.motion.sums(), cell, &lenient, near);
             if is_due {
                 self.look_at_spawn(context, op)?;
             }
         }
         // It may have been over the limit before: then it shrinks.
         let ceiling = context.limit.saturating_add(context.limit / OVERSHOOT).max(self.triangles);
-        while let Some(entry) = self.work.pop() {
-            self.look_at(context, (entry >> 32) as u32, entry as u32 as usize)?;
-            if self.triangles > ceiling {
-                // The threshold is going to be raised: what is left is looked at then.
-                for entry in self.work.drain(..) {
-                    self.rows.dues[entry as u32 as usize] = Due::NOW;
+        let mut pass = std::mem::take(&mut self.pass);
+        while !self.work.is_empty() {
+            pass.clear();
+            std::mem::swap(&mut pass, &mut self.work);
+            // Ops of a page together, and what goes before that which it hangs on.
+            pass.sort_unstable_by_key(|&entry| std::cmp::Reverse(entry));
+            let mut left = pass.as_slice();
+            while !left.is_empty() {
+                let (these, others) = left.split_at(left.len().min(READ_AT_ONCE));
+                left = others;
+                let mut glances = [Glance::NOTHING; READ_AT_ONCE];
+                for (glance, &entry) in glances.iter_mut().zip(these) {
+                    *glance = self.glance_at(context, (entry >> 32) as u32, entry as u32 as usize)?;
+                }
+                for (glance, &entry) in glances.iter().zip(these) {
+                    let row = entry as u32 as usize;
+                    self.rows.states[row].flags &= !QUEUED;
+                    self.look_at(context, (entry >> 32) as u32, row, glance)?;
+                }
+                if self.triangles > ceiling {
+                    // The threshold is going to be raised: what is left is looked at then.
+                    for entry in left.iter().copied().chain(self.work.drain(..)) {
+                        let row = entry as u32 as usize;
+                        self.rows.states[row].flags &= !QUEUED;
+                        self.rows.dues[row] = Due::NOW;
+                    }
+                    break;
                 }
             }
         }
+        self.pass = pass;
         Ok(())
+    }
+
+    /// Has a row looked at, unless it will be anyway.
+    #[inline]
+    fn queue(&mut self, op: u32, row: usize) {
+        let flags = &mut self.rows.states[row].flags;
+        if *flags & QUEUED == 0 {
+            *flags |= QUEUED;
+            self.work.push(u64::from(op) << 32 | row as u64);
+        }
+    }
+
+    /// Reads what a look at a wanted split will probably need.
+    #[inline]
+    fn glance_at(&self, context: &Context<'_>, op: u32, row: usize) -> Result<Glance, PackError> {
+        let mut glance = Glance::NOTHING;
+        let flags = self.rows.states[row].flags;
+        if flags & WANTED == 0 || op < context.model.spawn_count() {
+            return Ok(glance);
+        }
+        let children = context.model.children(op)?;
+        for ((child, bounds), is_wanted) in children.into_iter().zip(&mut glance.children).zip(CHILD_IS_WANTED) {
+            let is_read = context.pages.access == PageAccess::Blocking
+                || child != NO_OP && context.model.is_ready(PackedModel::page_of(child));
+            if child != NO_OP && flags & is_wanted == 0 && is_read {
+                *bounds = Some(context.model.bounds(child)?);
+            }
+        }
+        if flags & (CHILD_IS_WANTED[0] | CHILD_IS_WANTED[1]) == 0 {
+            glance.own = Some(context.model.bounds(op)?);
+        }
+        Ok(glance)
     }
 
     /// Largest error of a spawn that was not looked at, in lattice steps.
@@ -530,14 +682,14 @@ impl Front {
             return Ok(());
         }
         let mut waits = Together::NOTHING;
-        waits.stays_out(&probe, self.threshold, context.scorer);
+        waits.stays_out(&probe, self.threshold * context.leniency, context.scorer);
         let (due, cell) = waits.due(&self.motion);
         self.spawns[op as usize] = SpawnRow { due, cell };
         Ok(())
     }
 
     /// Looks at a wanted op: which of its children are wanted, and if none is, whether it still is itself.
-    fn look_at(&mut self, context: &mut Context<'_>, op: u32, row: usize) -> Result<(), PackError> {
+    fn look_at(&mut self, context: &mut Context<'_>, op: u32, row: usize, glance: &Glance) -> Result<(), PackError> {
         if self.rows.states[row].flags & WANTED == 0 {
             self.rows.dues[row] = Due::NEVER;
             return Ok(());
@@ -567,10 +719,14 @@ impl Front {
                 is_incomplete = true;
                 continue;
             }
-            let probe = context.scorer.probe(&context.model.bounds(child)?);
+            let bounds = match glance.children.get(number).copied().flatten() {
+                Some(bounds) if !is_spawn => bounds,
+                _ => context.model.bounds(child)?,
+            };
+            let probe = context.scorer.probe(&bounds);
             let priority = probe.priority();
             if priority <= self.threshold {
-                waits.stays_out(&probe, self.threshold, context.scorer);
+                waits.stays_out(&probe, self.threshold * context.leniency, context.scorer);
             } else if self.want(context, child, priority)? {
                 has_wanted_child = true;
                 if !is_spawn {
@@ -583,7 +739,7 @@ impl Front {
         if !has_wanted_child {
             let probe = match own {
                 Some(probe) => probe,
-                None => context.scorer.probe(&context.model.bounds(op)?),
+                None => context.scorer.probe(&glance.own.map_or_else(|| context.model.bounds(op), Ok)?),
             };
             let priority = probe.priority();
             if priority <= self.threshold {
@@ -599,24 +755,30 @@ impl Front {
 
     /// Takes an op in with its closure, unless a page of that is missing, and will look at it.
     fn want(&mut self, context: &mut Context<'_>, op: u32, priority: f32) -> Result<bool, PackError> {
-        if context.pages.access == PageAccess::ReadAhead {
-            let Self { closure, rows, .. } = self;
-            let is_present = |op: u32| rows.state(op).is_closed_in();
-            if !closure.gather(context.model, op, is_present, |op| context.pages.has_op(op, priority))? {
-                return Ok(false);
-            }
-        }
         let row = self.touch(op);
         let state = &mut self.rows.states[row];
         let was_in = state.is_closed_in();
         state.flags |= WANTED;
         self.rows.dues[row] = Due::NOW;
-        self.work.push(u64::from(op) << 32 | row as u64);
-        if was_in {
-            return Ok(true);
+        if !was_in && !self.enter(context, op, priority)? {
+            self.rows.states[row].flags &= !WANTED;
+            self.rows.dues[row] = Due::NEVER;
+            self.withdraw(context, op)?;
+            return Ok(false);
         }
+        self.queue(op, row);
+        Ok(true)
+    }
+
+    /// Counts in the closure of an op that has come in. False if a page of it is missing: then as much of it as can be read was counted, and is to be
+    /// [withdrawn](Self::withdraw); pages of all its branches are asked for.
+    fn enter(&mut self, context: &mut Context<'_>, op: u32, priority: f32) -> Result<bool, PackError> {
         self.stack.push(op);
         while let Some(op) = self.stack.pop() {
+            if !context.pages.has_op(op, priority) {
+                self.unread.push(op);
+                continue;
+            }
             self.triangles += context.model.triangles_of(op)?;
             for &parent in context.model.prerequisites(op)?.as_slice() {
                 let row = self.touch(parent);
@@ -628,7 +790,29 @@ impl Front {
                 }
             }
         }
-        Ok(true)
+        Ok(self.unread.is_empty())
+    }
+
+    /// Takes the closure of an op out that does not belong to it any more, but for what others need.
+    fn withdraw(&mut self, context: &Context<'_>, op: u32) -> Result<(), PackError> {
+        self.stack.push(op);
+        while let Some(op) = self.stack.pop() {
+            // A page may have come since.
+            if self.unread.contains(&op) {
+                continue;
+            }
+            self.triangles -= context.model.triangles_of(op)?;
+            for &parent in context.model.prerequisites(op)?.as_slice() {
+                let row = self.touch(parent);
+                let state = &mut self.rows.states[row];
+                state.references -= 1;
+                if !state.is_closed_in() {
+                    self.stack.push(parent);
+                }
+            }
+        }
+        self.unread.clear();
+        Ok(())
     }
 
     /// The op is not wanted any more, and its forest parent will be looked at.
@@ -644,7 +828,7 @@ impl Front {
                 if parent >= context.model.spawn_count() {
                     self.rows.states[row].flags &= !CHILD_IS_WANTED[side as usize];
                 }
-                self.work.push(u64::from(parent) << 32 | row as u64);
+                self.queue(parent, row);
             }
         }
         self.note(op, row);
@@ -652,22 +836,7 @@ impl Front {
         state.flags &= !WANTED;
         let is_in = state.is_closed_in();
         self.rows.dues[row] = Due::NEVER;
-        if is_in {
-            return Ok(());
-        }
-        self.stack.push(op);
-        while let Some(op) = self.stack.pop() {
-            self.triangles -= context.model.triangles_of(op)?;
-            for &parent in context.model.prerequisites(op)?.as_slice() {
-                let row = self.touch(parent);
-                let state = &mut self.rows.states[row];
-                state.references -= 1;
-                if !state.is_closed_in() {
-                    self.stack.push(parent);
-                }
-            }
-        }
-        Ok(())
+        if is_in { Ok(()) } else { self.withdraw(context, op) }
     }
 
     /// The row of an op, noted as one that may change.

@@ -14,6 +14,9 @@ pub(super) const TOUCHED: u8 = 4;
 /// The op was a member before this update.
 pub(super) const WAS_MEMBER: u8 = 8;
 
+/// The row is in the list of those that will be looked at.
+pub(super) const QUEUED: u8 = 64;
+
 /// The next split of `s` is wanted, and the first split of `t`. Kept for splits alone: a spawn may have any number of children.
 pub(super) const CHILD_IS_WANTED: [u8; 2] = [16, 32];
 
@@ -63,6 +66,14 @@ pub(super) struct Due {
     pub(super) turns_at: TurnsAt,
 }
 
+/// What sizes are compared with when it is asked whether an answer may have changed: ops that stay out are no larger than the higher number, ops that
+/// stay wanted are over the lower one.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Threshold {
+    pub(super) low: f32,
+    pub(super) high: f32,
+}
+
 /// A plane of the view and a bin of directions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct TurnsAt {
@@ -89,12 +100,12 @@ impl Due {
 
     /// Whether that is now, at a threshold and in a cell. Depths count as at least `near`, which is rounded down.
     #[inline(always)]
-    pub(super) fn is_now(&self, sums: &Sums, cell: u8, threshold: f32, near: f32) -> bool {
+    pub(super) fn is_now(&self, sums: &Sums, cell: u8, threshold: &Threshold, near: f32) -> bool {
         let least = (self.least_depth - sums.nearer(cell)).max(near);
         let most = (self.most_depth + sums.farther(cell)).max(near.next_up());
         // Products that are not numbers, of zero and infinity, are due. Without branches: rows are scanned by the ten thousand.
-        let stays_out = least * threshold >= self.small.get();
-        let stays_in = most * threshold < self.large.get();
+        let stays_out = least * threshold.high >= self.small.get();
+        let stays_in = most * threshold.low < self.large.get();
         let stays_hidden = self.appears.get() > sums.at(cell, self.appears_at);
         let TurnsAt { plane, bin } = self.turns_at;
         let stays_inside = self.leaves.get() > sums.outward(cell, plane);
@@ -173,6 +184,15 @@ impl Rows {
         (self.ops.capacity() + self.states.capacity()) * 4
             + self.index.heap_bytes()
             + self.dues.capacity() * size_of::<Due>()
+    }
+
+    /// Makes room for so many in all.
+    pub(super) fn reserve(&mut self, len: usize) {
+        reserve_an_eighth(&mut self.ops, len);
+        reserve_an_eighth(&mut self.dues, len);
+        reserve_an_eighth(&mut self.states, len);
+        let ops = &self.ops;
+        self.index.reserve(len, |row| ops[row as usize]);
     }
 
     #[inline]

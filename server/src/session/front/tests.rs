@@ -91,7 +91,7 @@ impl Camera {
 fn follow(model: &PackedModel, seed: u64, views: u32) -> (u32, u64, u64) {
     let mut camera = Camera::new(model, seed);
     let (mut front, mut members) = (Front::default(), BTreeSet::new());
-    let (mut limited, mut tested, mut held, mut roughs) = (0, 0, 0, 0);
+    let (mut limited, mut tested, mut held, mut roughs, mut late) = (0, 0, 0, 0, 0);
     for number in 0..views {
         let view = camera.step(model.info().smallest_limit);
         let scorer = Scorer::new(&view, model.info());
@@ -109,6 +109,21 @@ fn follow(model: &PackedModel, seed: u64, views: u32) -> (u32, u64, u64) {
             }
             assert!(triangles <= view.triangle_limit, "seed {seed}, view {number}: {triangles}");
             roughs += u32::from(rough.is_rough);
+            if !rough.is_limited {
+                // Sizes are right within a factor.
+                let at = |share: f32| {
+                    let (tolerance_px, triangle_limit) = (view.tolerance_px * share, UNLIMITED_TRIANGLES);
+                    let view = View { tolerance_px, triangle_limit, ..view.clone() };
+                    let scorer = Scorer::new(&view, model.info());
+                    let all = select(model, &scorer, triangle_limit, PageAccess::Blocking).unwrap();
+                    all.ops.into_iter().collect::<BTreeSet<u32>>()
+                };
+                let (least, most) = (at(MOVING_FACTOR * 1.00001), at(0.99999 / MOVING_FACTOR));
+                let missing = least.difference(&members).count();
+                let needless = members.difference(&most).count();
+                assert_eq!((missing, needless), (0, 0), "seed {seed}, view {number}: of {}", members.len());
+                late += u32::from(members != at(1.0));
+            }
         }
         let update = front.update(model, &scorer, &view, PageAccess::Blocking, Effort::Exact).unwrap();
         assert!(!update.is_rough);
@@ -142,6 +157,7 @@ fn follow(model: &PackedModel, seed: u64, views: u32) -> (u32, u64, u64) {
         held += found.len() as u64;
     }
     assert!(roughs > 20, "seed {seed}: {roughs} views were found roughly");
+    assert!(late > 0, "seed {seed}: a moving camera is never followed late");
     (limited, tested, held)
 }
 

@@ -68,9 +68,9 @@ fn page_by_page(model: &PackedModel, view: &View) -> anyhow::Result<Wanted> {
         let tests = model.tests(page)?;
         let rows = sweep.judge(&scorer, &tests).len();
         for row in 0..rows {
-            // What may be wanted is judged by itself.
-            let is_wanted =
-                scorer.wants(sweep.most()[row]) && scorer.wants(scorer.priority(&sweep.bounds(&tests, row)));
+            // What may be wanted or not is judged by itself.
+            let is_wanted = scorer.wants(sweep.least()[row])
+                || scorer.wants(sweep.most()[row]) && scorer.wants(scorer.priority(&sweep.bounds(&tests, row)));
             wanted.add(tests.first_op + row as u32, is_wanted);
         }
     }
