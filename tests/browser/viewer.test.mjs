@@ -37,6 +37,42 @@ test('the list leads to a page that shows the picture at once and then the model
   assert.deepEqual(page.faults, []);
 });
 
+// The box around what is not background: pixels that differ from the first of their row.
+function box({ width, height, rgb }) {
+  const edges = [width, height, -1, -1];
+  for (let y = 0; y < height; y++) {
+    for (let x = 0; x < width; x++) {
+      const off = [0, 1, 2].map((k) => Math.abs(rgb[3 * (y * width + x) + k] - rgb[3 * y * width + k]));
+      if (Math.max(...off) > 60) [edges[0], edges[1], edges[2], edges[3]] = [Math.min(edges[0], x), Math.min(edges[1], y), Math.max(edges[2], x), Math.max(edges[3], y)];
+    }
+  }
+  return edges;
+}
+
+test('the live mesh takes over where the picture is, in pages of any shape', async () => {
+  for (const [width, height] of [[1120, 600], [390, 844], [700, 700]]) {
+    const shots = [];
+    for (const isLive of [false, true]) {
+      const page = await stage.page('/', { viewport: { width, height } });
+      if (!isLive) await page.route('**/*.wasm', (route) => route.abort());
+      await page.goto(stage.address('/models/scan#occlusion=off'));
+      await (isLive ? settled(page) : state(page, 'failed'));
+      await page.addStyleTag({ content: '#bar, #tools, #panel, #notice { display: none !important } * { transition: none !important }' });
+      const path = join(pictures, `changeover-${width}x${height}-${isLive ? 'live' : 'poster'}.png`);
+      await page.screenshot({ path });
+      shots.push(decode(path));
+      assert.equal(await page.evaluate(() => Boolean(document.querySelector('#poster:not(.gone)'))), !isLive);
+      await page.context().close();
+    }
+    const [poster, live] = shots.map(box);
+    const off = poster.map((edge, k) => Math.abs(edge - live[k]));
+    assert.ok(Math.max(...off) <= 3, `${width}x${height}: the picture lies in ${poster}, the mesh in ${live}`);
+    // The picture has fewer pixels, so fine relief differs.
+    const { mean } = difference(...shots);
+    assert.ok(mean < 3, `${width}x${height}: ${mean} of 255 apart`);
+  }
+});
+
 test('keys, wheel, buttons and drags move the camera, and the address follows', async () => {
   const page = await stage.page('/models/cube');
   const links = [await settled(page)];
