@@ -234,7 +234,6 @@ async function fly(stage, models) {
       const [heap, nodes, listeners] = kept[Math.floor((third / 3) * (kept.length - 1))];
       return [own.at(-1).at.toFixed(1), most('triangles'), mib(most('memory')), mib(most('module')), `${(heap / 1024).toFixed(0)} KiB`, nodes, listeners, own.at(-1).views];
     });
-    if (process.env.KEPT) console.log(kept.map((row) => row.join(' ')).join('\n'));
     console.log(`${model}: ${samples.length} samples, limit of memory 128 MiB`);
     table(['until minute', 'most triangles', 'most memory, MiB', 'module, MiB', 'heap of the page, collected', 'nodes', 'listeners', 'views'], rows);
     await page.context().close();
