@@ -5,8 +5,8 @@ import { listen } from './input.js';
 import { Panel } from './panel.js';
 
 const [MAIN, PROBE] = [0, 1];
-// Those of a first image that deserves the name.
-const ENOUGH_TRIANGLES = 2000;
+// A mesh that is about as good as the picture.
+const ENOUGH_TRIANGLES = 10_000;
 const element = (id) => document.getElementById(id);
 const canvas = element('canvas');
 const data = document.body.dataset;

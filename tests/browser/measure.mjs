@@ -1,4 +1,4 @@
-// Measures the viewer in Chromium, for people: node measure.mjs WHAT [--repository DIR] [--model ID]... [--minutes N] [--limit N] [--tolerance PX].
+// Measures the viewer in Chromium, for people: node measure.mjs WHAT [--repository DIR] [--model ID]... [--minutes N] [--limit N] [--tolerance PX] [--size WxH] [--set NAME=VALUE].
 //
 // pictures   a page's picture against that of the program without a window
 // first      time to the poster, the first live image and all detail at 1 Mbit/s and 100 ms, from a cold and a warm cache
@@ -18,7 +18,7 @@ const LINE = { rate: 125_000, delayMs: 50 };
 
 const { values, positionals } = parseArgs({
   allowPositionals: true,
-  options: { repository: { type: 'string' }, model: { type: 'string', multiple: true }, minutes: { type: 'string', default: '10' }, limit: { type: 'string', default: '1000000' }, tolerance: { type: 'string', default: '0.3' }, seed: { type: 'string', default: '1' }, decoder: { type: 'string' } },
+  options: { repository: { type: 'string' }, model: { type: 'string', multiple: true }, minutes: { type: 'string', default: '10' }, limit: { type: 'string', default: '1000000' }, tolerance: { type: 'string', default: '0.3' }, seed: { type: 'string', default: '1' }, size: { type: 'string', default: '1120x600' }, set: { type: 'string', multiple: true, default: [] }, decoder: { type: 'string' } },
 });
 
 const table = (head, rows) => [head, head.map(() => '---'), ...rows].forEach((row) => console.log(`| ${row.join(' | ')} |`));
@@ -61,7 +61,7 @@ function watch() {
   new PerformanceObserver((list) => { for (const entry of list.getEntries()) if (entry.element?.id === 'poster' || entry.element?.closest?.('#poster')) window.seen.poster ??= entry.renderTime || entry.startTime; }).observe({ type: 'largest-contentful-paint', buffered: true });
   new MutationObserver(() => {
     const name = document.querySelector('#state')?.dataset.state;
-    // The mesh has as many triangles as a first image needs.
+    // The mesh takes the picture's place.
     if (document.querySelector('#poster.gone')) window.seen.live ??= performance.now();
     if (name === 'settled') window.seen.settled ??= performance.now();
   }).observe(document, { subtree: true, childList: true, attributes: true, attributeFilter: ['data-state', 'class'] });
@@ -132,13 +132,18 @@ function watchImages() {
 async function timeFrames(stage, models) {
   const rows = [];
   for (const model of models) {
-    const page = await stage.page(`/models/${model}#triangles=${values.limit}&memory=1024&tolerance=${values.tolerance}`, { script: watchImages });
+    const [width, height] = values.size.split('x').map(Number);
+    const link = [`triangles=${values.limit}`, 'memory=1024', `tolerance=${values.tolerance}`, ...values.set].join('&');
+    const page = await stage.page(`/models/${model}#${link}`, { viewport: { width, height }, script: watchImages });
     // All detail, or all the triangles that the limit allows but for a few.
     const full = 0.97 * Number(values.limit);
-    await page.waitForFunction((full) => document.querySelector('#state').dataset.state === 'settled' || window.lodestream?.figures()[0] >= full, full, { timeout: 600_000 });
-    const link = await page.evaluate(() => window.lodestream.link());
+    for (let triangles = 0; triangles < full && await page.getAttribute('#state', 'data-state') !== 'settled';) {
+      await page.waitForTimeout(5000);
+      triangles = await page.evaluate(() => window.lodestream?.figures()[0] ?? 0);
+      console.error(`${model}: ${triangles} triangles`);
+    }
     const file = join(pictures, `${model}-path.jsonl`);
-    writeFileSync(file, path(link, 20));
+    writeFileSync(file, path(await page.evaluate(() => window.lodestream.link()), 20));
     await page.evaluate(() => document.querySelectorAll('details').forEach((group) => { group.open = true; }));
     const [chooser] = await Promise.all([page.waitForEvent('filechooser'), page.click('#play')]);
     await page.evaluate(() => { window.times.isOn = true; });
@@ -245,7 +250,7 @@ async function fly(stage, models) {
 const measurements = { pictures: comparePictures, first: timeFirst, frames: timeFrames, decode: timeDecoding, flight: fly };
 const measure = measurements[positionals[0]];
 if (!measure) {
-  console.error(`usage: measure.mjs ${Object.keys(measurements).join('|')} [--repository DIR] [--model ID]... [--minutes N] [--limit N] [--tolerance PX] [--seed N] [--decoder MODULE.wasm]`);
+  console.error(`usage: measure.mjs ${Object.keys(measurements).join('|')} [--repository DIR] [--model ID]... [--minutes N] [--limit N] [--tolerance PX] [--size WxH] [--set NAME=VALUE]... [--seed N] [--decoder MODULE.wasm]`);
   process.exit(2);
 }
 const stage = await Stage.open(values.repository);

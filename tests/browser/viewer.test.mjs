@@ -258,6 +258,10 @@ test('phones get fewer triangles and fingers', async () => {
   assert.equal(await page.isVisible('#panel'), false);
   assert.ok(await page.evaluate(() => document.documentElement.scrollWidth <= innerWidth), 'nothing sticks out');
   await picture(page, 'phone');
+  // Whatever its name, the state is to be seen.
+  await page.evaluate(() => { document.querySelector('h1').textContent = 'A model whose name is longer than a phone is wide'; });
+  const words = await page.evaluate(() => { const span = document.querySelector('#state span'); return [span.scrollWidth, span.clientWidth]; });
+  assert.ok(words[1] > 80 && words[0] <= words[1], `${words} of the state are there`);
   const session = await page.context().newCDPSession(page);
   const touch = (type, ...points) => session.send('Input.dispatchTouchEvent', { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
   await touch('touchStart', [150, 400], [250, 400]);
