@@ -135,11 +135,12 @@ async function timeFrames(stage, models) {
     const [width, height] = values.size.split('x').map(Number);
     const link = [`triangles=${values.limit}`, 'memory=1024', `tolerance=${values.tolerance}`, ...values.set].join('&');
     const page = await stage.page(`/models/${model}#${link}`, { viewport: { width, height }, script: watchImages });
-    // All detail, or all the triangles that the limit allows but for a few.
-    const full = 0.97 * Number(values.limit);
-    for (let triangles = 0; triangles < full && await page.getAttribute('#state', 'data-state') !== 'settled';) {
+    // All detail, or all the triangles that the limit allows but for a few, or as many as come in so many minutes.
+    const [full, late] = [0.97 * Number(values.limit), Date.now() + Number(values.minutes) * 60_000];
+    await page.waitForFunction(() => window.lodestream, null, { timeout: 120_000 });
+    for (let triangles = 0; triangles < full && Date.now() < late && await page.getAttribute('#state', 'data-state') !== 'settled';) {
       await page.waitForTimeout(5000);
-      triangles = await page.evaluate(() => window.lodestream?.figures()[0] ?? 0);
+      ({ triangles } = await figures(page));
       console.error(`${model}: ${triangles} triangles`);
     }
     const file = join(pictures, `${model}-path.jsonl`);

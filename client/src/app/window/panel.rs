@@ -65,7 +65,7 @@ pub(super) fn show(
         // As high as what is open, but not beyond the window.
         let most = context.content_rect().height() - 80.0;
         egui::ScrollArea::vertical().max_height(most).show(ui, |ui| {
-            ui.spacing_mut().slider_width = 110.0;
+            ui.spacing_mut().slider_width = 104.0;
             show_state(ui, viewer.state());
             show_figures(ui, &figures);
             ui.separator();
@@ -168,13 +168,14 @@ impl AutoSlider<'_> {
         ui.label(self.name);
         let is_unlimited = value.or(automatic).is_none();
         let mut number = value.or(automatic).unwrap_or(*self.range.end());
-        let slider = slider(&mut number, self.range.clone(), self.decimals).logarithmic(true).suffix(self.unit);
+        let slider = slider(&mut number, self.range.clone(), self.decimals).logarithmic(true);
         let slider = match (is_unlimited, self.decimals) {
-            (true, _) => slider.suffix("").custom_formatter(|_, _| "no limit".into()),
+            (true, _) => slider.custom_formatter(|_, _| "no limit".into()),
             (false, 0) => slider
+                .suffix(self.unit)
                 .custom_formatter(|number, _| grouped(number as u64))
                 .custom_parser(|text| text.replace(' ', "").parse().ok()),
-            _ => slider,
+            _ => slider.suffix(self.unit),
         };
         let is_set = ui.add(slider).changed();
         let mut is_auto = value.is_none() && !is_set;
