@@ -61,8 +61,9 @@ function watch() {
   new PerformanceObserver((list) => { for (const entry of list.getEntries()) if (entry.element?.id === 'poster' || entry.element?.closest?.('#poster')) window.seen.poster ??= entry.renderTime || entry.startTime; }).observe({ type: 'largest-contentful-paint', buffered: true });
   new MutationObserver(() => {
     const name = document.querySelector('#state')?.dataset.state;
-    // The mesh takes the picture's place.
-    if (document.querySelector('#poster.gone')) window.seen.live ??= performance.now();
+    // There is a mesh, which whoever moves sees at once; else the picture stays until the mesh is about as good.
+    if (['refining', 'settled'].includes(name)) window.seen.live ??= performance.now();
+    if (document.querySelector('#poster.gone')) window.seen.shown ??= performance.now();
     if (name === 'settled') window.seen.settled ??= performance.now();
   }).observe(document, { subtree: true, childList: true, attributes: true, attributeFilter: ['data-state', 'class'] });
 }
@@ -93,10 +94,10 @@ async function timeFirst(stage, models) {
     for (const [cache, runs] of Object.entries(seen)) {
       // The one in the middle.
       const of = (name) => runs.map((run) => run[name]).sort((x, y) => x - y)[1];
-      rows.push([model, cache, ...['paint', 'poster', 'live', 'settled'].map((name) => Math.round(of(name))), kb(of('received'))]);
+      rows.push([model, cache, ...['paint', 'poster', 'live', 'shown', 'settled'].map((name) => Math.round(of(name))), kb(of('received'))]);
     }
   }
-  table(['model', 'cache', 'first paint, ms', 'poster, ms', 'live image, ms', 'all detail, ms', 'received'], rows);
+  table(['model', 'cache', 'first paint, ms', 'poster, ms', 'live mesh, ms', 'as good, ms', 'all detail, ms', 'received'], rows);
 }
 
 // Once around, down to a third of the distance and back, in so many seconds.
