@@ -147,11 +147,13 @@ async function timeFrames(stage, models) {
     const file = join(pictures, `${model}-path.jsonl`);
     writeFileSync(file, path(await page.evaluate(() => window.lodestream.link()), 20));
     await page.evaluate(() => document.querySelectorAll('details').forEach((group) => { group.open = true; }));
+    // An image of a million triangles takes software seconds, and the page with it.
+    page.setDefaultTimeout(180_000);
     const [chooser] = await Promise.all([page.waitForEvent('filechooser'), page.click('#play')]);
     await page.evaluate(() => { window.times.isOn = true; });
     await chooser.setFiles(file);
     await page.waitForFunction(() => /play=on/.test(window.lodestream.settings()));
-    await page.waitForFunction(() => /play=off/.test(window.lodestream.settings()), null, { timeout: 120_000 });
+    await page.waitForFunction(() => /play=off/.test(window.lodestream.settings()));
     const { own, between, triangles } = await page.evaluate(() => { window.times.isOn = false; return window.times; });
     const { limit, mostUploaded, mostApplied, over } = await figures(page);
     [own, between].forEach((times) => times.sort((a, b) => a - b));
