@@ -13,7 +13,10 @@ fn main() -> io::Result<()> {
         Some(folder) => PathBuf::from(folder),
         None => {
             // OUT_DIR is target/PROFILE/build/PACKAGE/out, with the platform before the profile in a cross build.
-            let target = out.ancestors().skip(4).find(|folder| folder.join("CACHEDIR.TAG").exists());
+            // A folder that was copied may lack cargo's tag.
+            let is_target =
+                |folder: &&Path| folder.join("CACHEDIR.TAG").exists() || folder.join("browser/bundle").exists();
+            let target = out.ancestors().skip(4).find(is_target);
             let folder = target.map_or_else(|| out.join("none"), |target| target.join("browser/bundle"));
             // A path that does not exist would make cargo build this crate anew each time.
             fs::create_dir_all(&folder)?;

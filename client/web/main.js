@@ -5,6 +5,8 @@ import { listen } from './input.js';
 import { Panel } from './panel.js';
 
 const [MAIN, PROBE] = [0, 1];
+// A mesh that is about as good as the picture.
+const ENOUGH_TRIANGLES = 10_000;
 const element = (id) => document.getElementById(id);
 const canvas = element('canvas');
 const data = document.body.dataset;
@@ -87,6 +89,9 @@ function run(module, screen) {
   let raf = 0;
   let timer = 0;
   let dirtySettings = true;
+  let poster = element('poster');
+  // Link to the first view, which the picture shows, unless the page was opened with another.
+  let home = /[#&]at=/.test(location.hash) ? '' : null;
   let lastLink = location.hash.slice(1);
   let linkTimer = 0;
 
@@ -182,7 +187,14 @@ function run(module, screen) {
     // With the mesh comes what is known of the model.
     if (name !== element('state').dataset.state) dirtySettings = true;
     if (!isRepairing && !isContextLost) setState(name, words);
-    if (['refining', 'settled'].includes(name)) element('poster')?.classList.add('gone');
+    if (poster && ['refining', 'settled'].includes(name)) {
+      // The picture is of the first view, and stays until the mesh is about as good. Who moves is not kept waiting.
+      home ??= page.link();
+      if (name === 'settled' || page.link() !== home || page.figures(time)[0] >= ENOUGH_TRIANGLES) {
+        poster.classList.add('gone');
+        poster = null;
+      }
+    }
     if (dirtySettings) {
       dirtySettings = false;
       panel.show(new Map(page.settings().split('\n').map((line) => { const at = line.indexOf('='); return [line.slice(0, at), line.slice(at + 1)]; })));

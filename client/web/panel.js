@@ -8,6 +8,9 @@ const NUMBERS = [
   ['fps', 'Frame rate', 5, 120, (v) => `${Math.round(v)} fps`],
   ['memory', 'Memory', 32, 8192, (v) => `${Math.round(v)} MiB`],
 ];
+// What is there unless someone chooses: the renderer's defaults.
+const BACKGROUND = '#1e2126';
+const LIGHT = [0.3, 0.4, 1];
 const VIEWS = ['front', 'back', 'left', 'right', 'top', 'bottom', 'iso', 'home'];
 const CHECKS = [['smooth', 'Smooth'], ['colors', 'Colours'], ['wireframe', 'Wireframe'], ['levels', 'Detail levels'], ['backs', 'Mark backs'], ['occlusion', 'Crevices'], ['morph', 'Morphing'], ['gradient', 'Gradient']];
 const TIPS = {
@@ -39,9 +42,9 @@ export class Panel {
     const row = NUMBERS.map((entry) => this.number(...entry));
     const views = VIEWS.map((view) => make('button', { type: 'button', textContent: view[0].toUpperCase() + view.slice(1), dataset: { view }, onclick: () => send('view', view) }));
     const checks = CHECKS.map(([name, label]) => this.check(name, label));
-    this.background = make('input', { type: 'color', value: '#1e2126', ariaLabel: 'Background', oninput: () => send('background', this.background.value.slice(1)) });
+    this.background = make('input', { type: 'color', value: BACKGROUND, ariaLabel: 'Background', oninput: () => send('background', this.background.value.slice(1)) });
     this.up = make('select', { ariaLabel: 'Axis that is up', onchange: () => send('up', this.up.value) }, make('option', { value: 'y' }, 'Y up'), make('option', { value: 'z' }, 'Z up'));
-    this.light = ['x', 'y'].map((axis) => make('input', { type: 'range', min: -1.5, max: 1.5, step: 0.05, value: axis === 'x' ? 0.3 : 0.4, ariaLabel: `Light ${axis === 'x' ? 'from left to right' : 'from below to above'}`, oninput: () => send('light', `${this.light[0].value},${this.light[1].value},1`) }));
+    this.light = ['x', 'y'].map((axis) => make('input', { type: 'range', min: -1.5, max: 1.5, step: 0.05, value: LIGHT[axis === 'x' ? 0 : 1], ariaLabel: `Light ${axis === 'x' ? 'from left to right' : 'from below to above'}`, oninput: () => send('light', `${this.light[0].value},${this.light[1].value},1`) }));
     this.axis = make('select', { ariaLabel: 'Section axis', id: 'section-axis', onchange: () => this.section() }, ...['off', 'x', 'y', 'z'].map((value) => make('option', { value }, value === 'off' ? 'Off' : value.toUpperCase())));
     this.share = make('input', { type: 'range', id: 'section-share', min: 0, max: 1, step: 0.001, value: 0.5, ariaLabel: 'Section position', oninput: () => this.section() });
     this.flip = make('input', { type: 'checkbox', id: 'section-flip', onchange: () => this.section() });
@@ -53,8 +56,8 @@ export class Panel {
     root.append(
       group('Detail', true, ...row),
       group('Shading', !isSmall, make('div', { className: 'checks' }, ...checks),
-        make('div', { className: 'row' }, make('span', {}, 'Light'), make('div', {}, ...this.light), make('button', { type: 'button', onclick: () => { [this.light[0].value, this.light[1].value] = [0.3, 0.4]; send('light', 'auto'); } }, 'Reset')),
-        make('div', { className: 'row' }, make('span', {}, 'Background'), this.background, make('button', { type: 'button', onclick: () => { this.background.value = '#1e2126'; send('background', 'auto'); } }, 'Reset'))),
+        make('div', { className: 'row' }, make('span', {}, 'Light'), make('div', {}, ...this.light), make('button', { type: 'button', onclick: () => send('light', 'auto') }, 'Reset')),
+        make('div', { className: 'row' }, make('span', {}, 'Background'), this.background, make('button', { type: 'button', onclick: () => send('background', 'auto') }, 'Reset'))),
       group('Views', !isSmall, make('div', { className: 'buttons' }, ...views, this.up), make('div', { className: 'checks' }, this.check('freeze', 'Freeze view'))),
       group('Section', false, make('div', { className: 'row' }, make('label', { htmlFor: 'section-axis' }, 'Cut along'), this.axis, make('label', {}, this.flip, ' Flip')),
         make('div', { className: 'row' }, make('label', { htmlFor: 'section-share' }, 'Position'), this.share, make('output'))),
@@ -109,6 +112,11 @@ export class Panel {
     }
     this.checks.get('colors').disabled = settings.get('hascolors') !== 'on';
     this.up.value = settings.get('up');
+    // Links set these too.
+    const [background, light] = [settings.get('background'), settings.get('light')];
+    if (document.activeElement !== this.background) this.background.value = background === 'auto' ? BACKGROUND : `#${background}`;
+    const direction = light === 'auto' ? LIGHT : light.split(',').map(Number);
+    this.light.forEach((slider, k) => { if (document.activeElement !== slider) slider.value = direction[k] / (direction[2] || 1); });
     const [axis, share, flip] = settings.get('section').split(',');
     this.axis.value = axis;
     this.share.disabled = this.flip.disabled = axis === 'off';

@@ -1,4 +1,4 @@
-// Measures the viewer in Chromium, for people: node measure.mjs WHAT [--repository DIR] [--model ID]... [--minutes N] [--limit N] [--tolerance PX].
+// Measures the viewer in Chromium, for people: node measure.mjs WHAT [--repository DIR] [--model ID]... [--minutes N] [--limit N] [--tolerance PX] [--size WxH] [--set NAME=VALUE].
 //
 // pictures   a page's picture against that of the program without a window
 // first      time to the poster, the first live image and all detail at 1 Mbit/s and 100 ms, from a cold and a warm cache
@@ -18,7 +18,7 @@ const LINE = { rate: 125_000, delayMs: 50 };
 
 const { values, positionals } = parseArgs({
   allowPositionals: true,
-  options: { repository: { type: 'string' }, model: { type: 'string', multiple: true }, minutes: { type: 'string', default: '10' }, limit: { type: 'string', default: '1000000' }, tolerance: { type: 'string', default: '0.3' }, seed: { type: 'string', default: '1' }, decoder: { type: 'string' } },
+  options: { repository: { type: 'string' }, model: { type: 'string', multiple: true }, minutes: { type: 'string', default: '10' }, limit: { type: 'string', default: '1000000' }, tolerance: { type: 'string', default: '0.3' }, seed: { type: 'string', default: '1' }, size: { type: 'string', default: '1120x600' }, set: { type: 'string', multiple: true, default: [] }, decoder: { type: 'string' } },
 });
 
 const table = (head, rows) => [head, head.map(() => '---'), ...rows].forEach((row) => console.log(`| ${row.join(' | ')} |`));
@@ -61,9 +61,11 @@ function watch() {
   new PerformanceObserver((list) => { for (const entry of list.getEntries()) if (entry.element?.id === 'poster' || entry.element?.closest?.('#poster')) window.seen.poster ??= entry.renderTime || entry.startTime; }).observe({ type: 'largest-contentful-paint', buffered: true });
   new MutationObserver(() => {
     const name = document.querySelector('#state')?.dataset.state;
+    // There is a mesh, which whoever moves sees at once; else the picture stays until the mesh is about as good.
     if (['refining', 'settled'].includes(name)) window.seen.live ??= performance.now();
+    if (document.querySelector('#poster.gone')) window.seen.shown ??= performance.now();
     if (name === 'settled') window.seen.settled ??= performance.now();
-  }).observe(document, { subtree: true, childList: true, attributes: true, attributeFilter: ['data-state'] });
+  }).observe(document, { subtree: true, childList: true, attributes: true, attributeFilter: ['data-state', 'class'] });
 }
 
 async function timeFirst(stage, models) {
@@ -92,10 +94,10 @@ async function timeFirst(stage, models) {
     for (const [cache, runs] of Object.entries(seen)) {
       // The one in the middle.
       const of = (name) => runs.map((run) => run[name]).sort((x, y) => x - y)[1];
-      rows.push([model, cache, ...['paint', 'poster', 'live', 'settled'].map((name) => Math.round(of(name))), kb(of('received'))]);
+      rows.push([model, cache, ...['paint', 'poster', 'live', 'shown', 'settled'].map((name) => Math.round(of(name))), kb(of('received'))]);
     }
   }
-  table(['model', 'cache', 'first paint, ms', 'poster, ms', 'live image, ms', 'all detail, ms', 'received'], rows);
+  table(['model', 'cache', 'first paint, ms', 'poster, ms', 'live mesh, ms', 'as good, ms', 'all detail, ms', 'received'], rows);
 }
 
 // Once around, down to a third of the distance and back, in so many seconds.
@@ -131,17 +133,27 @@ function watchImages() {
 async function timeFrames(stage, models) {
   const rows = [];
   for (const model of models) {
-    const page = await stage.page(`/models/${model}#triangles=${values.limit}&memory=1024&tolerance=${values.tolerance}`, { script: watchImages });
-    await state(page, 'settled', 300_000);
-    const link = await settled(page);
+    const [width, height] = values.size.split('x').map(Number);
+    const link = [`triangles=${values.limit}`, 'memory=1024', `tolerance=${values.tolerance}`, ...values.set].join('&');
+    const page = await stage.page(`/models/${model}#${link}`, { viewport: { width, height }, script: watchImages });
+    // All detail, or all the triangles that the limit allows but for a few, or as many as come in so many minutes.
+    const [full, late] = [0.97 * Number(values.limit), Date.now() + Number(values.minutes) * 60_000];
+    await page.waitForFunction(() => window.lodestream, null, { timeout: 120_000 });
+    for (let triangles = 0; triangles < full && Date.now() < late && await page.getAttribute('#state', 'data-state') !== 'settled';) {
+      await page.waitForTimeout(5000);
+      ({ triangles } = await figures(page));
+      console.error(`${model}: ${triangles} triangles`);
+    }
     const file = join(pictures, `${model}-path.jsonl`);
-    writeFileSync(file, path(link, 20));
+    writeFileSync(file, path(await page.evaluate(() => window.lodestream.link()), 20));
     await page.evaluate(() => document.querySelectorAll('details').forEach((group) => { group.open = true; }));
+    // An image of a million triangles takes software seconds, and the page with it.
+    page.setDefaultTimeout(180_000);
     const [chooser] = await Promise.all([page.waitForEvent('filechooser'), page.click('#play')]);
     await page.evaluate(() => { window.times.isOn = true; });
     await chooser.setFiles(file);
     await page.waitForFunction(() => /play=on/.test(window.lodestream.settings()));
-    await page.waitForFunction(() => /play=off/.test(window.lodestream.settings()), null, { timeout: 120_000 });
+    await page.waitForFunction(() => /play=off/.test(window.lodestream.settings()));
     const { own, between, triangles } = await page.evaluate(() => { window.times.isOn = false; return window.times; });
     const { limit, mostUploaded, mostApplied, over } = await figures(page);
     [own, between].forEach((times) => times.sort((a, b) => a - b));
@@ -195,6 +207,13 @@ async function fly(stage, models) {
     await session.send('Performance.enable');
     await state(page, 'settled', 300_000);
     await page.focus('#canvas');
+    // What the page holds once all that nobody holds is gone. Between two collections the heap says when the engine thinks of one.
+    const held = async () => {
+      for (let k = 0; k < 2; k++) await session.send('HeapProfiler.collectGarbage');
+      const { metrics } = await session.send('Performance.getMetrics');
+      return ['JSHeapUsedSize', 'Nodes', 'JSEventListeners'].map((wanted) => metrics.find(({ name }) => name === wanted).value);
+    };
+    const kept = [];
     const next = random(Number(values.seed));
     const keys = ['KeyW', 'KeyA', 'KeyD', 'KeyQ', 'KeyE', 'ArrowLeft', 'ArrowRight', 'ArrowUp', 'ArrowDown', 'Equal', 'Minus'];
     const samples = [];
@@ -209,9 +228,9 @@ async function fly(stage, models) {
       if (++moves % 8 === 0) await page.keyboard.press(`Digit${1 + Math.floor(next() * 7)}`);
       if (moves % 8 === 4) await page.mouse.dblclick(300 + 400 * next(), 150 + 300 * next());
       const { triangles, limit, memory, module, mostUploaded, over, views } = await figures(page);
-      const { metrics } = await session.send('Performance.getMetrics');
-      const heap = metrics.find(({ name }) => name === 'JSHeapUsedSize').value;
-      samples.push({ at: (Date.now() - begin) / 60_000, triangles, limit, memory, module, heap, mostUploaded, over, views });
+      const at = (Date.now() - begin) / 60_000;
+      samples.push({ at, triangles, limit, memory, module, mostUploaded, over, views });
+      if (at >= kept.length / 2) kept.push(await held());
       assert.ok(triangles <= limit, `${triangles} triangles`);
       assert.ok(memory <= 128 * 2 ** 20, `${memory} bytes of memory`);
     }
@@ -223,10 +242,11 @@ async function fly(stage, models) {
     const rows = [1, 2, 3].map((third) => {
       const own = samples.filter(({ at }) => at > ((third - 1) / 3) * samples.at(-1).at && at <= (third / 3) * samples.at(-1).at);
       const most = (name) => Math.max(...own.map((sample) => sample[name]));
-      return [own.at(-1).at.toFixed(1), most('triangles'), mib(most('memory')), mib(most('module')), mib(most('heap')), own.at(-1).views];
+      const [heap, nodes, listeners] = kept[Math.floor((third / 3) * (kept.length - 1))];
+      return [own.at(-1).at.toFixed(1), most('triangles'), mib(most('memory')), mib(most('module')), `${(heap / 1024).toFixed(0)} KiB`, nodes, listeners, own.at(-1).views];
     });
     console.log(`${model}: ${samples.length} samples, limit of memory 128 MiB`);
-    table(['until minute', 'most triangles', 'most memory, MiB', 'module, MiB', 'heap of the page, MiB', 'views'], rows);
+    table(['until minute', 'most triangles', 'most memory, MiB', 'module, MiB', 'heap of the page, collected', 'nodes', 'listeners', 'views'], rows);
     await page.context().close();
   }
 }
@@ -234,7 +254,7 @@ async function fly(stage, models) {
 const measurements = { pictures: comparePictures, first: timeFirst, frames: timeFrames, decode: timeDecoding, flight: fly };
 const measure = measurements[positionals[0]];
 if (!measure) {
-  console.error(`usage: measure.mjs ${Object.keys(measurements).join('|')} [--repository DIR] [--model ID]... [--minutes N] [--limit N] [--tolerance PX] [--seed N] [--decoder MODULE.wasm]`);
+  console.error(`usage: measure.mjs ${Object.keys(measurements).join('|')} [--repository DIR] [--model ID]... [--minutes N] [--limit N] [--tolerance PX] [--size WxH] [--set NAME=VALUE]... [--seed N] [--decoder MODULE.wasm]`);
   process.exit(2);
 }
 const stage = await Stage.open(values.repository);

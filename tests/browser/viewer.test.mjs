@@ -37,6 +37,42 @@ test('the list leads to a page that shows the picture at once and then the model
   assert.deepEqual(page.faults, []);
 });
 
+// The box around what is not background: pixels that differ from the first of their row.
+function box({ width, height, rgb }) {
+  const edges = [width, height, -1, -1];
+  for (let y = 0; y < height; y++) {
+    for (let x = 0; x < width; x++) {
+      const off = [0, 1, 2].map((k) => Math.abs(rgb[3 * (y * width + x) + k] - rgb[3 * y * width + k]));
+      if (Math.max(...off) > 60) [edges[0], edges[1], edges[2], edges[3]] = [Math.min(edges[0], x), Math.min(edges[1], y), Math.max(edges[2], x), Math.max(edges[3], y)];
+    }
+  }
+  return edges;
+}
+
+test('the live mesh takes over where the picture is, in pages of any shape', async () => {
+  for (const [width, height] of [[1120, 600], [390, 844], [700, 700]]) {
+    const shots = [];
+    for (const isLive of [false, true]) {
+      const page = await stage.page('/', { viewport: { width, height } });
+      if (!isLive) await page.route('**/*.wasm', (route) => route.abort());
+      await page.goto(stage.address('/models/scan#occlusion=off'));
+      await (isLive ? settled(page) : state(page, 'failed'));
+      await page.addStyleTag({ content: '#bar, #tools, #panel, #notice { display: none !important } * { transition: none !important }' });
+      const path = join(pictures, `changeover-${width}x${height}-${isLive ? 'live' : 'poster'}.png`);
+      await page.screenshot({ path });
+      shots.push(decode(path));
+      assert.equal(await page.evaluate(() => Boolean(document.querySelector('#poster:not(.gone)'))), !isLive);
+      await page.context().close();
+    }
+    const [poster, live] = shots.map(box);
+    const off = poster.map((edge, k) => Math.abs(edge - live[k]));
+    assert.ok(Math.max(...off) <= 3, `${width}x${height}: the picture lies in ${poster}, the mesh in ${live}`);
+    // The picture has fewer pixels, so fine relief differs.
+    const { mean } = difference(...shots);
+    assert.ok(mean < 3, `${width}x${height}: ${mean} of 255 apart`);
+  }
+});
+
 test('keys, wheel, buttons and drags move the camera, and the address follows', async () => {
   const page = await stage.page('/models/cube');
   const links = [await settled(page)];
@@ -222,6 +258,10 @@ test('phones get fewer triangles and fingers', async () => {
   assert.equal(await page.isVisible('#panel'), false);
   assert.ok(await page.evaluate(() => document.documentElement.scrollWidth <= innerWidth), 'nothing sticks out');
   await picture(page, 'phone');
+  // Whatever its name, the state is to be seen.
+  await page.evaluate(() => { document.querySelector('h1').textContent = 'A model whose name is longer than a phone is wide'; });
+  const words = await page.evaluate(() => { const span = document.querySelector('#state span'); return [span.scrollWidth, span.clientWidth]; });
+  assert.ok(words[1] > 80 && words[0] <= words[1], `${words} of the state are there`);
   const session = await page.context().newCDPSession(page);
   const touch = (type, ...points) => session.send('Input.dispatchTouchEvent', { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
   await touch('touchStart', [150, 400], [250, 400]);
@@ -323,7 +363,7 @@ test('a connection that breaks is made anew, and the session goes on', async () 
     assert.equal((await figures(page)).triangles, before.triangles, 'the picture stays');
     assert.equal(await settled(page), link);
     const seen = await page.evaluate(() => window.seen);
-    assert.ok(seen.length > 10 && seen.every((triangles) => triangles === before.triangles), `no picture from the base on: ${new Set(seen)}`);
+    assert.ok(seen.length > 10 && seen.every((triangles) => triangles === before.triangles), `no picture from the base on: ${seen.length} images of ${[...new Set(seen)]}, ${before.triangles} before`);
     const after = await figures(page);
     assert.equal(after.triangles, before.triangles);
     assert.ok(after.received - before.received < 200, `${after.received - before.received} bytes to go on, ${before.received} before`);
@@ -348,8 +388,9 @@ test('a server that goes and comes back finds the viewer where it was', async ()
   await stage.serve();
   assert.equal(await settled(page), link);
   assert.equal((await figures(page)).triangles, triangles);
-  // The browser itself reports sockets and addresses that nobody answers.
-  assert.deepEqual(page.faults.filter((fault) => !/ERR_CONNECTION_REFUSED|WebSocket connection/.test(fault)), []);
+  // The browser itself reports sockets and addresses that nobody answers, and the answer that the server is back when the page asks
+  // why a socket did not open.
+  assert.deepEqual(page.faults.filter((fault) => !/ERR_CONNECTION_REFUSED|WebSocket connection|status of 426/.test(fault)), []);
 });
 
 test('a full server and a model that is gone are said', async () => {

@@ -152,7 +152,7 @@ const SERVER: Layers<'static> = &[
     ("judge", &["mesh", "pack", "session"]),
     ("picture", &["mesh", "pack", "session"]),
     ("runtime", &["pack", "session"]),
-    ("http", &["pack", "repository", "runtime", "session"]),
+    ("http", &["pack", "picture", "repository", "runtime", "session"]),
     ("telemetry", &[]),
     ("config", &["http", "runtime", "session", "telemetry"]),
     (

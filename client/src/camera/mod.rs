@@ -26,6 +26,28 @@ pub const DEFAULT_DIRECTION: DVec3 = DVec3::new(0.35, 0.25, 1.0);
 /// Distance of the near plane unless more is known, as a share of the distance to what is looked at.
 const NEAREST: f64 = 1e-4;
 
+/// Largest vertical opening angle of images that are higher than wide, in radians: beyond it little fits into much.
+const WIDEST_FOV_Y_RAD: f64 = 2.1;
+
+/// The vertical opening angle of an image whose narrower side opens by `fov_rad`, limited to 120 degrees unless `fov_rad` is more.
+/// `aspect` is width over height.
+///
+/// A model that fits the narrower side then looks the same in an image of any shape: on a phone that is turned, in a window
+/// that is drawn, and in the picture that a page shows before.
+pub fn fov_y_of(fov_rad: f32, aspect: f64) -> f32 {
+    if aspect >= 1.0 {
+        return fov_rad;
+    }
+    let half = ((f64::from(fov_rad) / 2.0).tan() / aspect).atan();
+    ((2.0 * half).min(WIDEST_FOV_Y_RAD) as f32).max(fov_rad)
+}
+
+/// The opening angle of the narrower side where the vertical one is `fov_y_rad`: [`fov_y_of`] backwards, as far as that is not
+/// limited.
+pub fn fov_of(fov_y_rad: f32, aspect: f64) -> f32 {
+    if aspect >= 1.0 { fov_y_rad } else { (2.0 * ((f64::from(fov_y_rad) / 2.0).tan() * aspect).atan()) as f32 }
+}
+
 /// A ball around the model, in model units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
@@ -242,6 +264,27 @@ mod tests {
             let fill = if aspect < 1.0 { widest } else { highest };
             assert!(widest <= 1.0 && highest <= 1.0 && fill > 0.97, "aspect {aspect}: {widest} x {highest}");
         }
+    }
+
+    #[test]
+    fn the_narrower_side_opens_alike_in_images_of_any_shape() {
+        for fov in [0.1, FOV, 1.5] {
+            for aspect in [1.0, 1.4, 3.0] {
+                assert_eq!(fov_y_of(fov, aspect), fov);
+                assert_eq!(fov_of(fov, aspect), fov);
+            }
+            for aspect in [0.99, 0.75, 0.46] {
+                let fov_y = fov_y_of(fov, aspect);
+                assert!(fov_y > fov && fov_y <= WIDEST_FOV_Y_RAD as f32);
+                if fov_y < WIDEST_FOV_Y_RAD as f32 {
+                    assert!((fov_of(fov_y, aspect) - fov).abs() < 1e-6, "{fov} {aspect}");
+                    let reach = |angle: f32| (f64::from(angle) / 2.0).tan();
+                    assert!((reach(fov_y) * aspect - reach(fov)).abs() < 1e-6, "{fov} {aspect}");
+                }
+            }
+            assert_eq!(fov_y_of(fov, 1e-9), WIDEST_FOV_Y_RAD as f32);
+        }
+        assert_eq!(fov_y_of(2.5, 0.3), 2.5);
     }
 
     #[test]

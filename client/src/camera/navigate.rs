@@ -10,7 +10,7 @@ use glam::DVec3;
 use lodestream_protocol::time::Timestamp;
 use lodestream_protocol::view::Projection;
 
-use super::{Bounds, Camera, DEFAULT_DIRECTION, Orbit, UpAxis, Viewport};
+use super::{Bounds, Camera, DEFAULT_DIRECTION, Orbit, UpAxis, Viewport, fov_y_of};
 
 /// Turn for a drag over the height of the image.
 const DRAG_RAD: f64 = std::f64::consts::PI;
@@ -126,7 +126,8 @@ pub struct Navigator {
     bounds: Bounds,
     viewport: Viewport,
     orbit: Orbit,
-    fov_y_rad: f32,
+    /// Opening angle of the image's narrower side.
+    fov_rad: f32,
     is_orthographic: bool,
     motion: Motion,
     /// Drags of the last [`FLING`].
@@ -142,13 +143,13 @@ pub struct Navigator {
 }
 
 impl Navigator {
-    /// Sees the whole model from [`DEFAULT_DIRECTION`].
-    pub fn new(bounds: Bounds, viewport: Viewport, fov_y_rad: f32) -> Self {
+    /// Sees the whole model from [`DEFAULT_DIRECTION`], through a lens that opens the narrower side of the image by `fov_rad`.
+    pub fn new(bounds: Bounds, viewport: Viewport, fov_rad: f32) -> Self {
         let mut navigator = Self {
             bounds,
             viewport,
             orbit: Orbit::around(&bounds, bounds.radius),
-            fov_y_rad,
+            fov_rad,
             is_orthographic: false,
             motion: Motion::Still,
             drags: Vec::new(),
@@ -164,7 +165,7 @@ impl Navigator {
 
     /// The camera as it is now.
     pub fn camera(&self) -> Camera {
-        let mut camera = Camera::perspective(self.fov_y_rad);
+        let mut camera = Camera::perspective(self.fov_y_rad());
         self.orbit.pose(&mut camera);
         if self.is_orthographic {
             camera.projection = Projection::Orthographic { height: self.orthographic_height() };
@@ -182,9 +183,14 @@ impl Navigator {
         &self.orbit
     }
 
-    /// Vertical opening angle in radians.
+    /// Opening angle of the image's narrower side in radians.
+    pub fn fov_rad(&self) -> f32 {
+        self.fov_rad
+    }
+
+    /// Vertical opening angle in radians: wider than [`fov_rad`](Self::fov_rad) in an image that is higher than wide.
     pub fn fov_y_rad(&self) -> f32 {
-        self.fov_y_rad
+        fov_y_of(self.fov_rad, self.viewport.aspect())
     }
 
     /// Whether rays are parallel.
@@ -211,11 +217,11 @@ impl Navigator {
         self.viewport = viewport;
     }
 
-    /// Sets a pose at once, as from a link.
-    pub fn set_pose(&mut self, orbit: Orbit, fov_y_rad: f32, is_orthographic: bool) {
+    /// Sets a pose at once, as from a link; `fov_rad` is of the image's narrower side.
+    pub fn set_pose(&mut self, orbit: Orbit, fov_rad: f32, is_orthographic: bool) {
         self.stop();
         self.orbit = orbit;
-        self.fov_y_rad = fov_y_rad;
+        self.fov_rad = fov_rad;
         self.is_orthographic = is_orthographic;
         self.moved = true;
     }
@@ -260,7 +266,7 @@ impl Navigator {
     /// Looks around by a drag in pixels, the eye staying where it is.
     pub fn look(&mut self, right_px: f64, down_px: f64) {
         self.stop_motion();
-        let scale = f64::from(self.fov_y_rad) / f64::from(self.viewport.height_px.max(1));
+        let scale = f64::from(self.fov_y_rad()) / f64::from(self.viewport.height_px.max(1));
         self.orbit.look(right_px * scale, -down_px * scale);
         self.moved = true;
     }
@@ -401,7 +407,7 @@ impl Navigator {
 
     /// Height of the image at the target, in model units.
     fn orthographic_height(&self) -> f64 {
-        2.0 * self.orbit.distance() * (f64::from(self.fov_y_rad) / 2.0).tan()
+        2.0 * self.orbit.distance() * (f64::from(self.fov_y_rad()) / 2.0).tan()
     }
 
     fn framing(&self, direction: DVec3) -> Orbit {
@@ -410,7 +416,7 @@ impl Navigator {
     }
 
     fn framing_distance(&self, direction: DVec3) -> f64 {
-        let mut camera = Camera::perspective(self.fov_y_rad);
+        let mut camera = Camera::perspective(self.fov_y_rad());
         camera.frame(&self.bounds, direction, self.viewport.aspect());
         camera.eye.distance(self.bounds.center)
     }

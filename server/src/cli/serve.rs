@@ -69,7 +69,8 @@ async fn serve(
     note: impl FnOnce(SocketAddr),
 ) -> anyhow::Result<()> {
     shutdown.follow_signals().context("cannot handle signals")?;
-    let listener = http::bind(listen).await.with_context(|| format!("cannot listen on {listen}"))?;
+    let listener =
+        http::bind(listen).await.with_context(|| format!("cannot listen on {listen} (--listen names another)"))?;
     let address = listener.local_addr()?;
     let mut stdout = std::io::stdout();
     writeln!(stdout, "listening on http://{address}").and_then(|()| stdout.flush()).context("standard output")?;

@@ -6,18 +6,18 @@ use std::sync::Arc;
 use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode, header};
-use axum::response::{Html, IntoResponse, Response};
+use axum::response::{IntoResponse, Response};
 
-use super::App;
 use super::error::{HttpError, wants_json};
 use super::models::{ModelEntry, ModelStatus, OpenError};
+use super::{App, pages, viewer};
 
 /// Looks of the plain pages.
 const STYLE: &str = "body{font:16px/1.5 system-ui,sans-serif;max-width:1100px;margin:2rem auto;padding:0 1rem}\
     :root{color-scheme:light dark}h1{font-size:1.4rem}a{color:inherit}small{opacity:.7}pre{overflow-x:auto}\
     ul{list-style:none;padding:0;display:grid;gap:1.2rem;grid-template-columns:repeat(auto-fill,minmax(220px,1fr))}\
     li a{text-decoration:none}li a:hover b{text-decoration:underline}\
-    img,.none{display:block;width:100%;height:auto;aspect-ratio:4/3;object-fit:contain;background:#1e2126;border-radius:10px;margin-bottom:.4rem}";
+    img,.none{display:block;width:100%;height:auto;aspect-ratio:4/3;object-fit:contain;background:linear-gradient(#424448,#1e2126);border-radius:10px;margin-bottom:.4rem}";
 
 /// `GET /models`
 pub(super) async fn list(State(app): State<Arc<App>>) -> Json<Vec<ModelEntry>> {
@@ -29,27 +29,32 @@ pub(super) async fn model(State(app): State<Arc<App>>, Path(id): Path<String>, h
     let Some(entry) = app.models.list().into_iter().find(|entry| entry.id == id) else {
         return HttpError::NoSuchModel(id).respond(&headers);
     };
-    let mut response = if wants_json(&headers) {
-        Json(entry).into_response()
-    } else {
-        viewer(&app, &entry).await.unwrap_or_else(|| html(name(&entry), &model_body(&entry, &headers)))
-    };
-    response.headers_mut().insert(header::VARY, header::HeaderValue::from_static("accept"));
-    response
+    if wants_json(&headers) {
+        let mut response = Json(entry).into_response();
+        response.headers_mut().insert(header::VARY, header::HeaderValue::from_static("accept"));
+        return response;
+    }
+    apart(&headers, move |headers| viewer(&app, &entry, headers).unwrap_or_else(|| lonely(&entry, headers))).await
+}
+
+/// Makes a page where reading and compressing hold nobody up.
+async fn apart(headers: &HeaderMap, make: impl FnOnce(&HeaderMap) -> Response + Send + 'static) -> Response {
+    let made = tokio::task::spawn_blocking({
+        let headers = headers.clone();
+        move || make(&headers)
+    });
+    made.await.unwrap_or_else(|_| HttpError::Internal.respond(headers))
 }
 
 /// The viewer's page for a model that can be streamed, if there is a viewer.
-async fn viewer(app: &Arc<App>, entry: &ModelEntry) -> Option<Response> {
-    if entry.status != ModelStatus::Ready || !app.viewer.is_there() {
+fn viewer(app: &App, entry: &ModelEntry, headers: &HeaderMap) -> Option<Response> {
+    if entry.status != ModelStatus::Ready {
         return None;
     }
-    let found = tokio::task::spawn_blocking({
-        let (app, id) = (Arc::clone(app), entry.id.clone());
-        move || app.models.thumbnail(&id)
-    });
     // Without a picture the page is as good, only later.
-    let picture = found.await.ok().and_then(Result::ok).flatten();
-    app.viewer.page(entry, picture.as_deref())
+    let picture = || app.models.thumbnail(&entry.id).ok().flatten();
+    let html = app.viewer.page(entry, picture)?;
+    Some(pages::page(headers, viewer::POLICY, html))
 }
 
 /// `GET /models/<id>/thumbnail`: the picture as PNG. A model published anew under its id has another tag, so whoever has a copy
@@ -72,20 +77,23 @@ pub(super) async fn thumbnail(State(app): State<Arc<App>>, Path(id): Path<String
     };
     let tag = format!("\"{:016x}\"", xxhash_rust::xxh3::xxh3_64(&png));
     let caching = [(header::ETAG, tag.clone()), (header::CACHE_CONTROL, "no-cache".into())];
-    let known = headers.get(header::IF_NONE_MATCH).and_then(|tags| tags.to_str().ok()).unwrap_or_default();
-    if known.split(',').any(|known| matches!(known.trim(), "*") || known.trim().trim_start_matches("W/") == tag) {
+    if pages::holds(&headers, &tag) {
         return (StatusCode::NOT_MODIFIED, caching).into_response();
     }
     (caching, [(header::CONTENT_TYPE, "image/png")], png).into_response()
 }
 
 /// `GET /`
-pub(super) async fn page(State(app): State<Arc<App>>) -> Response {
+pub(super) async fn page(State(app): State<Arc<App>>, headers: HeaderMap) -> Response {
+    apart(&headers, move |headers| index(&app, headers)).await
+}
+
+fn index(app: &App, headers: &HeaderMap) -> Response {
     let mut body = String::from("<h1>Models</h1>\n");
     let models = app.models.list();
     if models.is_empty() {
         body.push_str("<p>This repository is empty. <code>lodestream-server ingest</code> adds a model.</p>\n");
-        return html("Models", &body);
+        return html(headers, "Models", &body);
     }
     body.push_str("<ul>\n");
     for entry in &models {
@@ -104,7 +112,7 @@ pub(super) async fn page(State(app): State<Arc<App>>) -> Response {
         );
     }
     body.push_str("</ul>\n");
-    html("Models", &body)
+    html(headers, "Models", &body)
 }
 
 /// `1234567` as `1,234,567`.
@@ -130,7 +138,8 @@ fn size(bytes: u64) -> String {
     }
 }
 
-fn model_body(entry: &ModelEntry, headers: &HeaderMap) -> String {
+/// The page of a model without a viewer.
+fn lonely(entry: &ModelEntry, headers: &HeaderMap) -> Response {
     let host = headers.get(header::HOST).and_then(|host| host.to_str().ok()).unwrap_or("localhost:8080");
     let (id, host) = (escape(&entry.id), escape(host));
     let mut body = format!(
@@ -154,7 +163,7 @@ fn model_body(entry: &ModelEntry, headers: &HeaderMap) -> String {
         ModelStatus::Quarantined => body.push_str("<p>Its file is damaged, so it cannot be streamed.</p>\n"),
     }
     body.push_str("<p><a href=\"../\">All models</a></p>\n");
-    body
+    html(headers, name(entry), &body)
 }
 
 /// The model's picture, if it has one, seen from a page below whose address `models` leads to those of models.
@@ -172,7 +181,7 @@ pub(super) fn name(entry: &ModelEntry) -> &str {
     if entry.title.is_empty() { &entry.id } else { &entry.title }
 }
 
-fn html(title: &str, body: &str) -> Response {
+fn html(headers: &HeaderMap, title: &str, body: &str) -> Response {
     let page = format!(
         "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<link rel=\"icon\" href=\"data:,\">\n\
@@ -180,7 +189,7 @@ fn html(title: &str, body: &str) -> Response {
         escape(title)
     );
     let policy = "default-src 'none'; img-src 'self' data:; style-src 'unsafe-inline'";
-    ([(header::CONTENT_SECURITY_POLICY, policy)], Html(page)).into_response()
+    pages::page(headers, policy, page)
 }
 
 pub(super) fn escape(text: &str) -> String {

@@ -7,6 +7,7 @@ mod error;
 mod health;
 mod metrics;
 pub mod models;
+mod pages;
 mod serve;
 #[cfg(test)]
 mod tests;

@@ -102,6 +102,10 @@ type Socket = WebSocketStream<TcpStream>;
 
 impl Server {
     async fn start(change: impl FnOnce(&mut Settings)) -> Self {
+        Self::start_with(Viewer::default(), change).await
+    }
+
+    async fn start_with(viewer: Viewer, change: impl FnOnce(&mut Settings)) -> Self {
         let mut settings = Settings {
             allowed_origins: vec!["https://friend.example".into()],
             max_connections: 16,
@@ -119,7 +123,7 @@ impl Server {
             driver: DriverSettings { hello_timeout: PATIENCE, inbound_frames: 8, outbound_frames: 2 },
         };
         change(&mut settings);
-        let app = App::new(Box::new(TestModels), Viewer::default(), settings, Shutdown::default()).unwrap();
+        let app = App::new(Box::new(TestModels), viewer, settings, Shutdown::default()).unwrap();
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let serving = tokio::spawn(serve(listener, Arc::clone(&app)));
@@ -128,13 +132,22 @@ impl Server {
 
     /// Status and everything after it of the answer to a GET request.
     async fn get(&self, path: &str, headers: &str) -> (u16, String) {
+        let (status, head, body) = self.load(path, headers).await;
+        (status, format!("{head}{}", String::from_utf8(body).unwrap()).to_lowercase())
+    }
+
+    /// Status, the other lines of the head and the body of the answer to a GET request.
+    async fn load(&self, path: &str, headers: &str) -> (u16, String, Vec<u8>) {
         let mut socket = TcpStream::connect(self.address).await.unwrap();
         let request = format!("GET {path} HTTP/1.1\r\nhost: {}\r\nconnection: close\r\n{headers}\r\n", self.address);
         socket.write_all(request.as_bytes()).await.unwrap();
-        let mut answer = String::new();
-        within(socket.read_to_string(&mut answer)).await.unwrap();
-        let (status, rest) = answer.strip_prefix("HTTP/1.1 ").unwrap().split_at(3);
-        (status.parse().unwrap(), rest.to_lowercase())
+        let mut answer = Vec::new();
+        within(socket.read_to_end(&mut answer)).await.unwrap();
+        let end = answer.windows(4).position(|bytes| bytes == b"\r\n\r\n").unwrap() + 4;
+        let body = answer.split_off(end);
+        let head = String::from_utf8(answer).unwrap();
+        let (status, rest) = head.strip_prefix("HTTP/1.1 ").unwrap().split_at(3);
+        (status.parse().unwrap(), rest.to_lowercase(), body)
     }
 
     async fn connect_from(&self, origin: Option<&str>, model: &str) -> Result<Socket, (u16, String)> {
@@ -468,4 +481,38 @@ async fn thumbnails_have_tags_and_their_absence_is_said() {
     let (status, answer) = server.get("/models/nothing/thumbnail", "").await;
     assert!(status == 404 && answer.contains("there is no model `nothing`"), "{answer}");
     assert_eq!(server.get("/models/damaged/thumbnail", "").await.0, 500);
+}
+
+#[tokio::test]
+async fn pages_go_out_compressed_with_a_tag_for_each_coding() {
+    let server = Server::start_with(Viewer::for_tests(), |_| {}).await;
+    let value = |head: &str, name: &str| -> Option<String> {
+        head.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(": ").map(str::to_owned))
+    };
+    for path in ["/", "/models/echo", "/models/damaged"] {
+        let (status, head, plain) = server.load(path, "accept-encoding: br, gzip;q=0\r\n").await;
+        assert_eq!((status, value(&head, "content-encoding")), (200, None), "{path}");
+        let (status, head_packed, packed) = server.load(path, "accept-encoding: br, gzip\r\n").await;
+        assert_eq!((status, value(&head_packed, "content-encoding").as_deref()), (200, Some("gzip")), "{path}");
+        let mut unpacked = Vec::new();
+        std::io::Read::read_to_end(&mut flate2::read::GzDecoder::new(&packed[..]), &mut unpacked).unwrap();
+        assert_eq!(unpacked, plain, "{path}");
+        assert_eq!(value(&head_packed, "content-length"), Some(packed.len().to_string()));
+        let mut tags = Vec::new();
+        for (head, coding) in [(&head, "identity"), (&head_packed, "gzip")] {
+            assert_eq!(value(head, "content-type").as_deref(), Some("text/html; charset=utf-8"));
+            assert_eq!(value(head, "cache-control").as_deref(), Some("no-cache"), "what is kept is asked for again");
+            assert_eq!(value(head, "vary").as_deref(), Some("accept, accept-encoding"));
+            assert!(value(head, "content-security-policy").unwrap().contains("default-src 'none'"));
+            let tag = value(head, "etag").unwrap();
+            let again = format!("accept-encoding: {coding}\r\nif-none-match: W/{tag}\r\n");
+            let (status, head, body) = server.load(path, &again).await;
+            assert!(status == 304 && body.is_empty() && value(&head, "etag").as_ref() == Some(&tag), "{status} {head}");
+            tags.push(tag);
+        }
+        assert_ne!(tags[0], tags[1], "{path}: bytes that differ have tags that differ");
+    }
+    let (_, answer) = server.get("/models/echo", "").await;
+    // Not a picture that says what it shows: the page shows it as it was always shown.
+    assert!(answer.contains("<img id=\"poster\" alt=\"\" src=\"data:image/png;base64,"), "{answer}");
 }

@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 use axum::extract::{Path as UrlPath, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
-use axum::response::{Html, IntoResponse, Response};
+use axum::response::{IntoResponse, Response};
 use lodestream_protocol::message::{ClientMessage, Hello, PROTOCOL_VERSION};
 use lodestream_protocol::wire::encode_client;
 
@@ -21,6 +21,8 @@ use super::App;
 use super::catalogue::{escape, name};
 use super::error::HttpError;
 use super::models::ModelEntry;
+use super::pages::{accepts, holds};
+use crate::picture::{self, Window};
 
 mod embedded {
     include!(concat!(env!("OUT_DIR"), "/viewer_files.rs"));
@@ -31,7 +33,7 @@ mod embedded {
 const AUTO_TRIANGLES: [u32; 2] = [1_000_000, 200_000];
 
 /// What the pages may do: run the module, draw, speak to this server, nothing else.
-const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self' 'unsafe-inline'; \
+pub(super) const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self' 'unsafe-inline'; \
     img-src 'self' data: blob:; connect-src 'self'; base-uri 'none'; form-action 'none'";
 
 /// Name of the page in the folder.
@@ -90,12 +92,10 @@ impl Viewer {
         self.page.is_some()
     }
 
-    /// The page of a model, with its picture if it has one.
-    pub(super) fn page(&self, entry: &ModelEntry, picture: Option<&[u8]>) -> Option<Response> {
+    /// The page of a model, with the `picture` if there is one. `None` if there is no viewer.
+    pub(super) fn page(&self, entry: &ModelEntry, picture: impl FnOnce() -> Option<Vec<u8>>) -> Option<String> {
         let mut page = self.page.clone()?;
-        let poster = picture.map_or(String::new(), |png| {
-            format!("<img id=\"poster\" alt=\"\" src=\"data:image/png;base64,{}\">", base64(png))
-        });
+        let poster = picture().map_or(String::new(), |png| poster(&png));
         let counts = format!("{} triangles, {} vertices.", entry.triangles, entry.vertices);
         let hint = entry.shape.as_ref().map_or(String::new(), |shape| {
             let ([x, y, z], radius) = shape.ball();
@@ -112,8 +112,7 @@ impl Viewer {
         ] {
             page = page.replace(key, value);
         }
-        let headers = [(header::CONTENT_SECURITY_POLICY, POLICY), (header::CACHE_CONTROL, "no-cache")];
-        Some((headers, Html(page)).into_response())
+        Some(page)
     }
 
     fn file(&self, name: &str, headers: &HeaderMap) -> Option<Response> {
@@ -131,8 +130,7 @@ impl Viewer {
             (header::CACHE_CONTROL, "public, max-age=31536000, immutable".into()),
             (header::VARY, "accept-encoding".into()),
         ];
-        let known = headers.get(header::IF_NONE_MATCH).and_then(|tags| tags.to_str().ok()).unwrap_or_default();
-        if known.split(',').any(|known| known.trim().trim_start_matches("W/") == tag) {
+        if holds(headers, &tag) {
             return Some((StatusCode::NOT_MODIFIED, caching).into_response());
         }
         let body = match bytes {
@@ -158,20 +156,6 @@ pub(super) async fn file(
     found.unwrap_or_else(|| HttpError::NoSuchPage(format!("/viewer/{name}")).respond(&headers))
 }
 
-/// Whether the client takes this coding: named, and not with a quality of zero.
-fn accepts(headers: &HeaderMap, coding: &str) -> bool {
-    headers
-        .get_all(header::ACCEPT_ENCODING)
-        .iter()
-        .filter_map(|value| value.to_str().ok())
-        .flat_map(|value| value.split(','))
-        .any(|range| {
-            let mut parts = range.split(';').map(str::trim);
-            parts.next().is_some_and(|name| name.eq_ignore_ascii_case(coding))
-                && !parts.any(|part| part.strip_prefix("q=").is_some_and(|q| q.parse() == Ok(0.0)))
-        })
-}
-
 fn content_type(name: &str) -> Option<&'static str> {
     match name.rsplit_once('.')?.1 {
         "js" => Some("text/javascript"),
@@ -179,6 +163,17 @@ fn content_type(name: &str) -> Option<&'static str> {
         "wasm" => Some("application/wasm"),
         _ => None,
     }
+}
+
+/// A model's picture as an element of the page: exactly where the viewer will draw the same, if the picture says what it shows.
+fn poster(png: &[u8]) -> String {
+    let place = picture::window(png).map_or(String::new(), |Window { left, top, width, height }| {
+        // In hundredths of the square in the middle of the page, from its centre.
+        let [left, top] = [left, top].map(|edge| 100.0 * (edge - 0.5));
+        let [width, height] = [width, height].map(|side| 100.0 * side);
+        format!(" style=\"--left:{left:.3};--top:{top:.3};--width:{width:.3};--height:{height:.3}\"")
+    });
+    format!("<img id=\"poster\" alt=\"\"{place} src=\"data:image/png;base64,{}\">", base64(png))
 }
 
 /// First messages for the automatic limits, as `limit:hex,limit:hex`.
@@ -210,17 +205,14 @@ fn base64(bytes: &[u8]) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn viewer() -> Viewer {
+impl Viewer {
+    /// A page and a few files.
+    pub(super) fn for_tests() -> Self {
         let file = |name: &str, text: &'static str| (name.to_owned(), Cow::Borrowed(text.as_bytes()));
-        Viewer::of(
+        let page = "<title>{{name}}</title>{{poster}}<p data-hello=\"{{hello}}\" data-hint=\"{{hint}}\">";
+        Self::of(
             [
-                file(
-                    "index.html",
-                    "<title>{{name}}</title>{{poster}}<p data-hello=\"{{hello}}\" data-hint=\"{{hint}}\">",
-                ),
+                file("index.html", page),
                 file("abc/main.js", "plain"),
                 file("abc/main.js.br", "brotli"),
                 file("abc/main.js.gz", "gzip"),
@@ -228,6 +220,15 @@ mod tests {
             ]
             .into_iter(),
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn viewer() -> Viewer {
+        Viewer::for_tests()
     }
 
     fn headers(name: header::HeaderName, value: &str) -> HeaderMap {

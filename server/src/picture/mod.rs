@@ -14,6 +14,9 @@ use glam::DVec3;
 use lodestream_protocol::view::View;
 
 use self::camera::Camera;
+pub use self::camera::Window;
+use self::encode::Encoding;
+pub use self::encode::window;
 use self::raster::{Canvas, Surface};
 use crate::mesh::TriMesh;
 use crate::pack::{PackError, PackedModel, extract, replay_ops};
@@ -30,8 +33,8 @@ const TRIANGLES: u32 = 30_000;
 /// Samples per pixel and direction.
 const OVERSAMPLING: u32 = 3;
 
-/// Draws a model from a little above and to the side, lit from the viewer's side, on nothing: a PNG of at most
-/// [`MAX_THUMBNAIL_BYTES`].
+/// Draws a model as the viewer first shows it, as large as it fits, on nothing: a PNG of at most [`MAX_THUMBNAIL_BYTES`], which
+/// says what part of the viewer's image it is ([`window`]).
 ///
 /// Draws the best mesh of 30,000 triangles (or the base, if it has more), so it costs the same for any model: some tens of
 /// milliseconds, and the memory of that mesh. An empty model gives an empty picture.
@@ -44,15 +47,25 @@ pub fn thumbnail(model: &PackedModel) -> Result<Vec<u8>, PackError> {
     view.triangle_limit = TRIANGLES.max(model.info().smallest_limit);
     let ops = ops_for_view(model, &view)?;
     let mesh = extract(model, &replay_ops(model, ops.into_iter())?);
-    Ok(draw(&mesh, model.info().is_open))
+    let info = model.info();
+    let [low, high] = [info.box_min, info.box_max].map(|corner| DVec3::from_array(info.lattice.position(corner)));
+    let ball = (((low + high) / 2.0).to_array(), ((high - low).length() / 2.0).max(info.lattice.step));
+    Ok(draw(&mesh, ball, info.is_open))
 }
 
-/// The picture of a mesh. Faces that face away are drawn too if the inside `is_open` to the eye.
-fn draw(mesh: &TriMesh, is_open: bool) -> Vec<u8> {
+/// The picture of a mesh within a ball of this centre and radius. Faces that face away are drawn too if the inside `is_open` to
+/// the eye.
+fn draw(mesh: &TriMesh, ball: ([f64; 3], f64), is_open: bool) -> Vec<u8> {
     let [width, height] = THUMBNAIL_SIZE.map(|pixels| pixels * OVERSAMPLING);
     let mut canvas = Canvas::new(width, height);
-    if let Some(camera) = Camera::framing(&mesh.positions, width, height) {
-        Surface { mesh, camera: &camera, is_open }.draw(&mut canvas);
+    let camera = Camera::framing(ball, &mesh.positions, width, height);
+    if let Some(camera) = &camera {
+        Surface { mesh, camera, is_open }.draw(&mut canvas);
     }
-    encode::within(&canvas, OVERSAMPLING, MAX_THUMBNAIL_BYTES)
+    let window = camera.map(|camera| camera.window);
+    encode::within(
+        &canvas,
+        Encoding { oversampling: OVERSAMPLING, is_clay: mesh.colors.is_none(), window },
+        MAX_THUMBNAIL_BYTES,
+    )
 }

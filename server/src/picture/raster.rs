@@ -5,8 +5,8 @@ use glam::DVec3;
 use super::camera::Camera;
 use crate::mesh::TriMesh;
 
-/// Linear colour of a surface without colours of its own: light clay, grey so that its pictures need a single channel.
-const CLAY: DVec3 = DVec3::splat(0.70);
+/// Direction to the light: right, up, back. That of the viewer, whose picture this one turns into.
+const LIGHT: DVec3 = DVec3::new(0.3, 0.4, 1.0);
 /// Normals of faces that meet at a sharper angle than 45 degrees are not averaged: its cosine.
 const CREASE_COSINE: f64 = 0.707_106_781_186_547_5;
 
@@ -33,7 +33,7 @@ impl Canvas {
     }
 }
 
-/// A mesh before a camera.
+/// A mesh before a camera. Without colours of its own it is white, and gets its tint when the picture is encoded.
 pub(super) struct Surface<'a> {
     pub(super) mesh: &'a TriMesh,
     pub(super) camera: &'a Camera,
@@ -70,20 +70,18 @@ impl Surface<'_> {
             let corners = face.map(|v| {
                 let smooth = around.of(v).map(|f| normals[f as usize]).filter(|n| is_smooth(normal, *n)).sum::<DVec3>();
                 let smooth = unit(if faces_eye { smooth } else { -smooth });
-                let base = mesh.colors.as_ref().map_or(CLAY, |colors| linear(colors[v as usize]));
+                let base = mesh.colors.as_ref().map_or(DVec3::ONE, |colors| linear(colors[v as usize]));
                 Corner { at: self.camera.project(point(v)), color: base * self.light(smooth) }
             });
             fill(canvas, corners);
         }
     }
 
-    /// How bright a surface of this unit normal is: a key light above the eye's right shoulder, a weak one from the left, and
-    /// the sky.
+    /// How bright a surface of this unit normal is: the viewer's formula.
     fn light(&self, normal: DVec3) -> f64 {
         let Camera { right, up, back, .. } = self.camera;
-        let key = unit(*back + *up * 0.7 + *right * 0.55);
-        let fill = unit(*back * 0.6 - *right);
-        0.10 + 0.12 * (0.5 + 0.5 * normal.dot(*up)) + 0.78 * normal.dot(key).max(0.0) + 0.12 * normal.dot(fill).max(0.0)
+        let key = unit(*right * LIGHT.x + *up * LIGHT.y + *back * LIGHT.z);
+        0.25 * (0.75 + 0.25 * normal.dot(*up)) + 0.75 * normal.dot(key).max(0.0)
     }
 }
 
@@ -164,8 +162,8 @@ fn fill(canvas: &mut Canvas, mut corners: [Corner; 3]) {
     }
 }
 
-/// Linear light of an sRGB colour: a polynomial that is within a thousandth of the standard's power.
-fn linear(color: [u8; 3]) -> DVec3 {
+/// Linear light of an sRGB colour, each channel from 0 to 255: a polynomial that is within a thousandth of the standard's power.
+pub(super) fn linear(color: [u8; 3]) -> DVec3 {
     DVec3::from_array(color.map(|channel| {
         let c = f64::from(channel) / 255.0;
         c * (c * (c * 0.305_306_011 + 0.682_171_111) + 0.012_522_878)

@@ -37,7 +37,7 @@ use lodestream_protocol::time::Timestamp;
 
 use crate::camera::gesture::Pointers;
 use crate::camera::navigate::Navigator;
-use crate::camera::{Bounds, Camera, Viewport};
+use crate::camera::{Bounds, Camera, Viewport, fov_of};
 use crate::core::{ClientConfig, ClientSession};
 use crate::render::ghosts::MOST_GHOST_BYTES;
 use crate::render::upload::Allowance;
@@ -55,8 +55,8 @@ pub use request::Automatic;
 use settings::Settings;
 use state::{Progress, State};
 
-/// Vertical opening angle unless someone says otherwise: that of `snapshot`.
-pub const FOV_Y_RAD: f32 = std::f32::consts::FRAC_PI_4;
+/// Opening angle of the image's narrower side unless someone says otherwise: that of `snapshot`.
+pub const FOV_RAD: f32 = std::f32::consts::FRAC_PI_4;
 /// Bytes of the GPU's buffers per slot (two triangles): vertices, corners, links and normals.
 const GPU_BYTES_PER_SLOT: u64 = 16 + 24 + 28 + 32 + 24;
 /// Most events that wait to be fetched.
@@ -197,7 +197,7 @@ pub struct Viewer {
 impl Viewer {
     /// A viewer that wants to connect.
     pub fn new(options: ViewerOptions) -> Self {
-        let (linked, settings) = permalink::read(&options.link, FOV_Y_RAD);
+        let (linked, settings) = permalink::read(&options.link, FOV_RAD);
         let mut viewer = Self {
             pointers: Pointers::new(options.pixels_per_point),
             line: Line::new(),
@@ -318,8 +318,8 @@ impl Viewer {
         let mut moved = false;
         if let Some(navigator) = &mut self.navigator {
             if let Some(player) = &mut self.player {
-                let (orbit, fov, is_last) = player.pose(now);
-                navigator.set_pose(orbit, fov, false);
+                let (orbit, fov_y_rad, is_last) = player.pose(now);
+                navigator.set_pose(orbit, fov_of(fov_y_rad, self.options.viewport.aspect()), false);
                 if is_last {
                     self.player = None;
                     self.events.push_back(Event::Played);
@@ -472,13 +472,13 @@ impl Viewer {
 
     /// Fragment of a link to this view.
     pub fn link(&self) -> Option<String> {
-        Some(permalink::write(self.navigator.as_ref()?, &self.settings, FOV_Y_RAD))
+        Some(permalink::write(self.navigator.as_ref()?, &self.settings, FOV_RAD))
     }
 
     fn begin_navigation(&mut self, bounds: Bounds) {
-        let mut navigator = Navigator::new(bounds, self.options.viewport, FOV_Y_RAD);
+        let mut navigator = Navigator::new(bounds, self.options.viewport, FOV_RAD);
         if let Some(pose) = self.linked.take() {
-            navigator.set_pose(pose.orbit, pose.fov_y_rad, pose.is_orthographic);
+            navigator.set_pose(pose.orbit, pose.fov_rad, pose.is_orthographic);
         }
         self.navigator = Some(navigator);
     }

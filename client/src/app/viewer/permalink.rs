@@ -20,14 +20,14 @@ const FARTHEST: f64 = 1e15;
 pub struct LinkedPose {
     /// Where it is.
     pub orbit: Orbit,
-    /// Opening angle in radians.
-    pub fov_y_rad: f32,
+    /// Opening angle of the image's narrower side in radians.
+    pub fov_rad: f32,
     /// Whether rays are parallel.
     pub is_orthographic: bool,
 }
 
 /// The fragment, without `#`.
-pub fn write(navigator: &Navigator, settings: &Settings, default_fov_y_rad: f32) -> String {
+pub fn write(navigator: &Navigator, settings: &Settings, default_fov_rad: f32) -> String {
     let orbit = navigator.orbit();
     let distance = orbit.distance();
     let point = |p: DVec3| format!("{},{},{}", short(p.x, distance), short(p.y, distance), short(p.z, distance));
@@ -42,8 +42,8 @@ pub fn write(navigator: &Navigator, settings: &Settings, default_fov_y_rad: f32)
     if navigator.is_orthographic() {
         text.push_str("&ortho=on");
     }
-    if navigator.fov_y_rad() != default_fov_y_rad {
-        text.push_str(&format!("&fov={}", (f64::from(navigator.fov_y_rad()).to_degrees() * 100.0).round() / 100.0));
+    if navigator.fov_rad() != default_fov_rad {
+        text.push_str(&format!("&fov={}", (f64::from(navigator.fov_rad()).to_degrees() * 100.0).round() / 100.0));
     }
     let defaults = Settings::default().pairs();
     for ((key, value), (_, default)) in settings.pairs().into_iter().zip(defaults) {
@@ -55,10 +55,10 @@ pub fn write(navigator: &Navigator, settings: &Settings, default_fov_y_rad: f32)
 }
 
 /// What a fragment says: the camera, if there is one, and settings on top of the defaults.
-pub fn read(text: &str, default_fov_y_rad: f32) -> (Option<LinkedPose>, Settings) {
+pub fn read(text: &str, default_fov_rad: f32) -> (Option<LinkedPose>, Settings) {
     let mut settings = Settings::default();
     let (mut at, mut from, mut up) = (None, None, UpAxis::Y);
-    let (mut fov_y_rad, mut is_orthographic) = (default_fov_y_rad, false);
+    let (mut fov_rad, mut is_orthographic) = (default_fov_rad, false);
     let text = if text.len() <= MAX_BYTES { text.trim_start_matches('#') } else { "" };
     for (key, value) in text.split('&').filter_map(|pair| pair.split_once('=')) {
         match key {
@@ -68,7 +68,7 @@ pub fn read(text: &str, default_fov_y_rad: f32) -> (Option<LinkedPose>, Settings
             "ortho" => is_orthographic = value == "on",
             "fov" => {
                 let degrees = value.parse().ok().filter(|degrees| (0.1..=170.0).contains(degrees));
-                fov_y_rad = degrees.map_or(fov_y_rad, f32::to_radians);
+                fov_rad = degrees.map_or(fov_rad, f32::to_radians);
             }
             // A link from a newer version may know more.
             _ => drop(settings.set(key, value)),
@@ -77,7 +77,7 @@ pub fn read(text: &str, default_fov_y_rad: f32) -> (Option<LinkedPose>, Settings
     let pose = at.zip(from).filter(|(_, from)| from[2] > 0.0).map(|(at, from)| {
         let angles = [from[0], from[1], from.get(3).copied().unwrap_or(0.0)].map(f64::to_radians);
         let orbit = Orbit::from_angles(DVec3::new(at[0], at[1], at[2]), from[2], angles, up);
-        LinkedPose { orbit, fov_y_rad, is_orthographic }
+        LinkedPose { orbit, fov_rad, is_orthographic }
     });
     (pose, settings)
 }
@@ -125,7 +125,7 @@ mod tests {
         let (pose, read_settings) = read(&format!("#{text}"), FOV);
         let pose = pose.unwrap();
         assert_eq!(read_settings, settings);
-        assert!(pose.is_orthographic && pose.fov_y_rad == FOV);
+        assert!(pose.is_orthographic && pose.fov_rad == FOV);
         let (a, b) = (navigator.orbit(), pose.orbit);
         assert!(a.eye().distance(b.eye()) < 1e-3 * a.distance(), "{text}");
         assert!(a.rotation().angle_between(b.rotation()) < 3e-4, "{text}");
@@ -147,7 +147,7 @@ mod tests {
         }
         assert!(read(&format!("at=0,0,0&from=0,0,1&x={}", "1".repeat(5000)), FOV).0.is_none());
         let (pose, settings) = read("from=0,0,1&at=1e3,0,0&later=1&triangles=x&fov=900&shading=flat", FOV);
-        assert_eq!((pose.unwrap().fov_y_rad, settings.pairs()[5].1.as_str()), (FOV, "flat"));
+        assert_eq!((pose.unwrap().fov_rad, settings.pairs()[5].1.as_str()), (FOV, "flat"));
         let mut rng = fastrand::Rng::with_seed(4);
         for _ in 0..20_000 {
             let mut bytes = b"at=1,2,3&from=4,5,6,7&up=z&fov=40&triangles=700&section=x,0.5,flip".to_vec();

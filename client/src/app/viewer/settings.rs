@@ -387,6 +387,15 @@ mod tests {
     }
 
     #[test]
+    fn the_page_has_the_background_before_the_viewer_draws_it() {
+        let options = Settings::default().render_options(false, 45.0, None, true);
+        let hex = |[r, g, b]: [u8; 3]| format!("#{r:02x}{g:02x}{b:02x}");
+        let gradient = format!("linear-gradient({},{})", hex(options.background_top.unwrap()), hex(options.background));
+        let page = include_str!("../../../web/index.html");
+        assert!(page.contains(&format!("#stage{{container-type:size;background:{gradient}}}")), "{gradient}");
+    }
+
+    #[test]
     fn sections_keep_the_side_that_they_say() {
         let (min, max) = (DVec3::new(-1.0, 0.0, 4.0), DVec3::new(1.0, 2.0, 8.0));
         let side = |section: Section, p: [f64; 3]| {

@@ -5,7 +5,7 @@ use lodestream_protocol::time::Timestamp;
 use super::command::Event;
 use super::line::{Ending, Trouble};
 use super::state::{self, State};
-use super::{FOV_Y_RAD, Request, Viewer, Wire, permalink, with_causes};
+use super::{FOV_RAD, Request, Viewer, Wire, permalink, with_causes};
 use crate::camera::Viewport;
 use crate::core::{ClientError, ClientSession, Connectivity};
 use crate::render::upload::planned_bytes;
@@ -172,13 +172,13 @@ impl Viewer {
     }
 
     pub(super) fn open_link(&mut self, now: Timestamp, link: &str) {
-        let (pose, settings) = permalink::read(link, FOV_Y_RAD);
+        let (pose, settings) = permalink::read(link, FOV_RAD);
         let rate = std::mem::replace(&mut self.settings, settings).byte_rate;
         if rate != settings.byte_rate {
             self.reconnect(now);
         }
         match (&mut self.navigator, pose) {
-            (Some(navigator), Some(pose)) => navigator.set_pose(pose.orbit, pose.fov_y_rad, pose.is_orthographic),
+            (Some(navigator), Some(pose)) => navigator.set_pose(pose.orbit, pose.fov_rad, pose.is_orthographic),
             (None, pose) => self.linked = pose,
             (Some(_), None) => {}
         }

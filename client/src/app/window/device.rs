@@ -8,6 +8,7 @@ use lodestream_protocol::time::Timestamp;
 use winit::event_loop::ActiveEventLoop;
 use winit::window::Window;
 
+use super::panel;
 use super::screen::Screen;
 use super::{App, Opened};
 use crate::render::RenderError;
@@ -31,6 +32,7 @@ pub(super) struct Bereft {
 /// [`RenderError`].
 pub(super) fn equip(window: Arc<Window>, context: egui::Context) -> Result<Opened, RenderError> {
     let screen = Screen::open(window.clone())?;
+    panel::dress(&context);
     let input = egui_winit::State::new(
         context,
         egui::ViewportId::ROOT,

@@ -13,7 +13,7 @@ use crate::camera::navigate::StandardView;
 use crate::render::Shading;
 
 /// Width of the panel in points: a slider with its name, its value and its box.
-const WIDTH: f32 = 330.0;
+const WIDTH: f32 = 350.0;
 
 /// What a person asks of the window itself.
 #[derive(Clone, Debug, PartialEq)]
@@ -40,6 +40,15 @@ pub(super) struct Surroundings<'a> {
     pub(super) notice: Option<&'a str>,
 }
 
+/// How the panel looks.
+pub(super) fn dress(context: &Context) {
+    context.all_styles_mut(|style| {
+        let text = style.visuals.text_color();
+        // Names of figures are weak, not hard to read.
+        style.visuals.weak_text_color = Some(text.gamma_multiply(0.85));
+    });
+}
+
 /// Lays the panel out and collects wishes.
 pub(super) fn show(
     context: &Context,
@@ -56,7 +65,7 @@ pub(super) fn show(
         // As high as what is open, but not beyond the window.
         let most = context.content_rect().height() - 80.0;
         egui::ScrollArea::vertical().max_height(most).show(ui, |ui| {
-            ui.spacing_mut().slider_width = 110.0;
+            ui.spacing_mut().slider_width = 104.0;
             show_state(ui, viewer.state());
             show_figures(ui, &figures);
             ui.separator();
@@ -110,7 +119,7 @@ fn show_figures(ui: &mut Ui, figures: &Figures) {
         let [kb_per_s, images_per_s] = [figures.bytes_per_s / 1e3 + 0.0, figures.images_per_s + 0.0];
         row("Received", format!("{kb_per_s:.1} KB/s, {}", bytes(figures.bytes_received)));
         row("Round trip", figures.round_trip_ms.map_or_else(unknown, |ms| format!("{ms:.0} ms")));
-        row("Images", format!("{images_per_s:.0} per s"));
+        row("Images", if images_per_s < 0.5 { "at rest".into() } else { format!("{images_per_s:.0} per s") });
         row("From cache", figures.cache_hits.map_or_else(unknown, |share| format!("{:.0} %", share * 100.0)));
         row("Memory", bytes(figures.memory_bytes));
     });
@@ -124,7 +133,7 @@ fn show_views(ui: &mut Ui, viewer: &Viewer, wishes: &mut Vec<Wish>) {
     };
     ui.horizontal_wrapped(|ui| {
         button(ui, "Fit", "The whole model (F)", Command::Fit);
-        for (view, key) in StandardView::ALL.into_iter().zip(["1", "2", "3", "4", "5", "6", "7", "0"]) {
+        for (view, key) in StandardView::ALL.into_iter().zip(["1", "2", "3", "4", "5", "6", "7", "H"]) {
             let name = view.name();
             let title: String = name[..1].to_uppercase() + &name[1..];
             button(ui, &title, &format!("Key {key}"), Command::View(view));
@@ -153,22 +162,24 @@ struct AutoSlider<'a> {
 }
 
 impl AutoSlider<'_> {
-    /// `automatic` is what the program chooses, where the slider starts; `None` if that is no limit.
+    /// `automatic` is what the program chooses, where the slider starts; `None` if that is no limit. Whoever moves the slider
+    /// takes the number in hand.
     fn show(&self, ui: &mut Ui, value: Option<f64>, automatic: Option<f64>, wishes: &mut Vec<Wish>) {
         ui.label(self.name);
         let is_unlimited = value.or(automatic).is_none();
         let mut number = value.or(automatic).unwrap_or(*self.range.end());
-        let slider = Slider::new(&mut number, self.range.clone())
-            .logarithmic(true)
-            .suffix(self.unit)
-            .max_decimals(self.decimals)
-            .smart_aim(true);
-        let slider = if is_unlimited { slider.suffix("").custom_formatter(|_, _| "no limit".into()) } else { slider };
-        if ui.add_enabled(value.is_some(), slider).changed() {
-            set(wishes, self.key, rounded(number, self.decimals));
-        }
-        let mut is_auto = value.is_none();
-        if ui.checkbox(&mut is_auto, "auto").changed() {
+        let slider = slider(&mut number, self.range.clone(), self.decimals).logarithmic(true);
+        let slider = match (is_unlimited, self.decimals) {
+            (true, _) => slider.custom_formatter(|_, _| "no limit".into()),
+            (false, 0) => slider
+                .suffix(self.unit)
+                .custom_formatter(|number, _| grouped(number as u64))
+                .custom_parser(|text| text.replace(' ', "").parse().ok()),
+            _ => slider.suffix(self.unit),
+        };
+        let is_set = ui.add(slider).changed();
+        let mut is_auto = value.is_none() && !is_set;
+        if ui.checkbox(&mut is_auto, "auto").changed() || is_set {
             match is_auto {
                 true => set(wishes, self.key, "auto"),
                 false => set(wishes, self.key, rounded(number, self.decimals)),
@@ -178,38 +189,47 @@ impl AutoSlider<'_> {
     }
 }
 
+/// A slider that changes nothing before someone moves it: what lies between its steps or beyond its ends is shown as it is.
+fn slider<Number: egui::emath::Numeric>(
+    number: &mut Number,
+    range: std::ops::RangeInclusive<Number>,
+    decimals: usize,
+) -> Slider<'_> {
+    Slider::new(number, range).clamping(egui::SliderClamping::Edits).max_decimals(decimals)
+}
+
 fn rounded(number: f64, decimals: usize) -> String {
     format!("{number:.decimals$}")
 }
 
 fn show_detail(ui: &mut Ui, settings: &Settings, automatic: &Automatic, wishes: &mut Vec<Wish>) {
-    let slider = |key, name, unit, range, decimals| AutoSlider { key, name, unit, range, decimals };
+    let number = |key, name, unit, range, decimals| AutoSlider { key, name, unit, range, decimals };
     egui::Grid::new("detail").num_columns(3).show(ui, |ui| {
-        slider("triangles", "Triangles", "", 1e3..=2e7, 0).show(
+        number("triangles", "Triangles", "", 1e3..=2e7, 0).show(
             ui,
             settings.triangles.fixed().map(f64::from),
             Some(automatic.triangles.into()),
             wishes,
         );
-        slider("tolerance", "Tolerance", " px", 0.1..=20.0, 2).show(
+        number("tolerance", "Largest error", " px", 0.1..=20.0, 2).show(
             ui,
             settings.tolerance_px.fixed().map(f64::from),
             Some(automatic.tolerance_px.into()),
             wishes,
         );
-        slider("rate", "Bytes per s", "", 1e4..=1e8, 0).show(
+        number("rate", "Bandwidth", " B/s", 1e4..=1e8, 0).show(
             ui,
             settings.byte_rate.fixed().map(f64::from),
             None,
             wishes,
         );
-        slider("fps", "Images per s", "", 1.0..=240.0, 0).show(
+        number("fps", "Frame rate", " fps", 1.0..=240.0, 0).show(
             ui,
             settings.images_per_s.fixed().map(f64::from),
             Some(automatic.images_per_s.into()),
             wishes,
         );
-        slider("memory", "Memory", " MiB", 16.0..=16384.0, 0).show(
+        number("memory", "Memory", " MiB", 16.0..=16384.0, 0).show(
             ui,
             settings.memory_mib.fixed().map(f64::from),
             Some(automatic.memory_mib.into()),
@@ -227,22 +247,29 @@ fn show_shading(ui: &mut Ui, settings: &Settings, viewer: &Viewer, wishes: &mut 
             }
         }
     });
-    let mut switch = |ui: &mut Ui, key: &str, name: &str, mut value: bool| {
-        if ui.checkbox(&mut value, name).changed() {
+    // The words of the page.
+    let mut switch = |ui: &mut Ui, key: &str, name: &str, hint: &str, mut value: bool| {
+        if ui.checkbox(&mut value, name).on_hover_text(hint).changed() {
             set(wishes, key, on(value));
         }
     };
-    switch(ui, "wireframe", "Edges", settings.wireframe);
-    switch(ui, "levels", "Refinement in colours", settings.levels);
-    switch(ui, "backs", "Backs in red", settings.backs);
+    switch(ui, "wireframe", "Wireframe", "Edges of the triangles", settings.wireframe);
+    switch(ui, "levels", "Detail levels", "Faces coloured by how fine they are", settings.levels);
+    switch(ui, "backs", "Mark backs", "Backs of faces in red", settings.backs);
     let has_colors = viewer.model().is_some_and(|model| model.has_colors);
     let is_plain = !(has_colors && settings.colors.fixed().unwrap_or(true));
-    switch(ui, "occlusion", "Dark crevices", settings.occlusion.fixed().unwrap_or(is_plain));
-    switch(ui, "morph", "Detail moves into place", settings.morph.fixed().unwrap_or(true));
+    switch(
+        ui,
+        "occlusion",
+        "Crevices",
+        "Darker crevices (ambient occlusion)",
+        settings.occlusion.fixed().unwrap_or(is_plain),
+    );
+    switch(ui, "morph", "Morphing", "New detail moves into its place", settings.morph.fixed().unwrap_or(true));
     if has_colors {
-        switch(ui, "colors", "Colours of the model", settings.colors.fixed().unwrap_or(true));
+        switch(ui, "colors", "Colours", "Colours of the model", settings.colors.fixed().unwrap_or(true));
     }
-    switch(ui, "gradient", "Lighter above", settings.is_gradient());
+    switch(ui, "gradient", "Gradient", "The background is lighter above", settings.is_gradient());
     ui.horizontal(|ui| {
         let mut color = settings.background.fixed().unwrap_or(crate::render::RenderOptions::default().background);
         if ui.color_edit_button_srgb(&mut color).changed() {
@@ -264,10 +291,10 @@ fn show_light(ui: &mut Ui, settings: &Settings, wishes: &mut Vec<Wish>) {
     let mut changed = false;
     egui::Grid::new("light").num_columns(2).show(ui, |ui| {
         ui.label("Light, sideways");
-        changed |= ui.add(Slider::new(&mut right_deg, -90.0..=90.0).suffix("°").max_decimals(0)).changed();
+        changed |= ui.add(slider(&mut right_deg, -90.0..=90.0, 0).suffix("°")).changed();
         ui.end_row();
         ui.label("Light, height");
-        changed |= ui.add(Slider::new(&mut up_deg, -80.0..=80.0).suffix("°").max_decimals(0)).changed();
+        changed |= ui.add(slider(&mut up_deg, -80.0..=80.0, 0).suffix("°")).changed();
         ui.end_row();
     });
     if changed {
@@ -294,7 +321,7 @@ fn show_section(ui: &mut Ui, section: Option<Section>, wishes: &mut Vec<Wish>) {
     });
     if let Some(section) = &mut next {
         ui.horizontal(|ui| {
-            ui.add(Slider::new(&mut section.share, 0.0..=1.0).max_decimals(3));
+            ui.add(slider(&mut section.share, 0.0..=1.0, 3));
             ui.checkbox(&mut section.flipped, "other side");
         });
     }
@@ -403,6 +430,31 @@ fn bytes(count: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::app::viewer::ViewerOptions;
+    use crate::camera::Viewport;
+
+    #[test]
+    fn what_nobody_moves_stays_as_it_is() {
+        let mut viewer = Viewer::new(ViewerOptions::new(Viewport { width_px: 800, height_px: 600 }));
+        // Between the steps of sliders, and beyond their ends.
+        let odd = [("triangles", "100"), ("tolerance", "0.333"), ("light", "0.31,0.17,1"), ("section", "x,0.12345")];
+        for values in [&[][..], &odd] {
+            for &(key, value) in values {
+                viewer.command(Timestamp::default(), Command::Set { key: key.into(), value: value.into() });
+            }
+            let settings = *viewer.settings();
+            let mut wishes = Vec::new();
+            let context = Context::default();
+            for _ in 0..3 {
+                let _ = context.run_ui(egui::RawInput::default(), |ui| {
+                    show_detail(ui, &settings, &viewer.automatic(), &mut wishes);
+                    show_shading(ui, &settings, &viewer, &mut wishes);
+                    show_section(ui, settings.section, &mut wishes);
+                });
+            }
+            assert_eq!(wishes, [], "{values:?}");
+        }
+    }
 
     #[test]
     fn numbers_are_written_for_people() {

@@ -161,3 +161,24 @@ fn orthographic_cameras_cut_nothing_off_however_near() {
     let depth = (navigator.bounds.center - camera.eye).dot(camera.forward()) - navigator.bounds.radius;
     assert!(depth > camera.near, "{depth} {}", camera.near);
 }
+
+#[test]
+fn a_model_keeps_its_size_when_the_image_changes_its_shape() {
+    let mut navigator = navigator();
+    let bounds = Bounds { center: DVec3::new(1.0, 2.0, 3.0), radius: 2.0 };
+    let edge = bounds.center + DVec3::new(0.0, 1.5, 0.7);
+    // Pixels from the middle of the image, where the narrower side has as many.
+    let mut seen = |width_px: u32, height_px: u32| {
+        let viewport = Viewport { width_px, height_px };
+        navigator.set_viewport(viewport);
+        let matrix = navigator.camera().view_projection(viewport.aspect(), &bounds);
+        let clip = matrix.project_point3(edge);
+        [clip.x * f64::from(width_px) / 2.0, clip.y * f64::from(height_px) / 2.0]
+    };
+    let first = seen(900, 600);
+    for (width_px, height_px) in [(600, 600), (600, 900), (600, 1290), (1290, 600)] {
+        let other = seen(width_px, height_px);
+        let far = (first[0] - other[0]).hypot(first[1] - other[1]);
+        assert!(far < 0.01, "{width_px} x {height_px}: {far} px");
+    }
+}
