@@ -108,6 +108,8 @@ pub(crate) struct Front {
     trend: Trend,
     /// Threshold of the front that was there before, if any.
     before: Option<f32>,
+    /// Eye and orientation of the last view.
+    pose: Option<([f64; 3], [f32; 4])>,
     // Work space.
     /// Rows to look at, each once, with their ops above them: rows stay where they are during an update.
     work: Vec<u64>,
@@ -365,8 +367,11 @@ impl Front {
         effort: Effort,
     ) -> Result<Update, PackError> {
         let pages = Pages { model, access, missing: HashMap::new() };
-        // Without a view before there is nothing that could stay as it is, and a limit that binds moves the threshold for all ops.
-        let is_lenient = effort == Effort::Moving && self.kind.is_some() && self.threshold <= scorer.threshold();
+        // Without a view before there is nothing that could stay as it is, a limit that binds moves the threshold for all ops, and a camera that
+        // stands where it stood costs little anyway.
+        let pose = (view.eye, view.orientation);
+        let has_moved = self.pose.replace(pose).is_some_and(|before| before != pose);
+        let is_lenient = effort == Effort::Moving && has_moved && self.threshold <= scorer.threshold();
         let leniency = if is_lenient { MOVING_FACTOR } else { 1.0 };
         let mut context = Context { model, scorer, pages, limit: view.triangle_limit, leniency, tested: 0 };
         self.begin(&mut context, view);
