@@ -133,7 +133,8 @@ pub struct SessionSection {
     /// passes it all the same is closed with code 4003. Default 2147483648.
     pub max_bytes: u64,
     /// Seconds without a new view after which a session whose view has settled drops its mirror of the client's mesh: some 5 bytes
-    /// for each vertex instead of 100 stay, and the next view waits some milliseconds longer. Default 5.
+    /// for each vertex instead of 100 stay, and the next view waits until it is rebuilt, some microseconds for each vertex.
+    /// Where memory runs short, sessions rest without waiting (`runtime.max_session_bytes`). Default 30.
     pub rest_after_s: u32,
     /// Seconds that a session whose connection broke is kept for its client to come back, 0 for not at all. Such sessions drop their
     /// mirrors and keep what was not acknowledged. At most `runtime.max_sessions` are kept beside those that are open; their memory
@@ -148,7 +149,7 @@ impl Default for SessionSection {
             max_cache_entries,
             max_window_bytes,
             max_bytes: SessionConfig::default().max_bytes,
-            rest_after_s: 5,
+            rest_after_s: 30,
             resume_s: 60,
         }
     }

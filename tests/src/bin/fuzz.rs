@@ -1,4 +1,4 @@
-//! Runs the fuzz targets for some seconds each: `fuzz [--seconds S | --cases N] [--readers] [--target NAME] [--seed N]`.
+//! Runs the fuzz targets for some seconds each: `fuzz [--seconds S | --cases N] [--readers] [--target NAME] [--seed N | --first N]`.
 //!
 //! `--readers` runs the readers of mesh files alone. A case that panics prints its seed; `--target NAME --seed N` runs that
 //! case alone. A reader fails, too, when it takes more memory than the length of its file allows.
@@ -30,6 +30,7 @@ fn main() -> ExitCode {
     let seconds: f64 = value("--seconds").and_then(|s| s.parse().ok()).unwrap_or(10.0);
     let only = value("--target");
     let seed: Option<u64> = value("--seed").and_then(|s| s.parse().ok());
+    let first: u64 = value("--first").and_then(|s| s.parse().ok()).unwrap_or(0);
     let all = if args.iter().any(|a| a == "--readers") { readers() } else { targets() };
     let mut failed = 0;
     for target in all {
@@ -45,7 +46,7 @@ fn main() -> ExitCode {
         };
         let (mut done, mut peak) = (0, 0);
         while goes_on(done) {
-            let case = seed.unwrap_or(done);
+            let case = seed.unwrap_or(first + done);
             match run(&target, case) {
                 Ok(memory) => peak = peak.max(memory),
                 Err(problem) => {
