@@ -362,8 +362,10 @@ test('a connection that breaks is made anew, and the session goes on', async () 
     await state(page, 'reconnecting');
     assert.equal((await figures(page)).triangles, before.triangles, 'the picture stays');
     assert.equal(await settled(page), link);
+    // A slow machine draws few images meanwhile: some of those after it count too.
+    await page.waitForFunction(() => window.seen.length > 10);
     const seen = await page.evaluate(() => window.seen);
-    assert.ok(seen.length > 10 && seen.every((triangles) => triangles === before.triangles), `no picture from the base on: ${seen.length} images of ${[...new Set(seen)]}, ${before.triangles} before`);
+    assert.ok(seen.every((triangles) => triangles === before.triangles), `no picture from the base on: ${seen.length} images of ${[...new Set(seen)]}, ${before.triangles} before`);
     const after = await figures(page);
     assert.equal(after.triangles, before.triangles);
     assert.ok(after.received - before.received < 200, `${after.received - before.received} bytes to go on, ${before.received} before`);
