@@ -10,6 +10,7 @@ use lodestream_protocol::view::{UNLIMITED_TRIANGLES, View};
 use lodestream_server::ingest::simplify::{BuildOptions, PlacementChoice};
 use lodestream_server::ingest::{Dependencies, Rules};
 use lodestream_server::pack::PAGE_OPS;
+use lodestream_server::session::SessionConfig;
 use lodestream_server::session::score::Scorer;
 use lodestream_tests::meshes::{self, every_topology};
 use lodestream_tests::model::TestModel;
@@ -148,7 +149,7 @@ fn a_session_that_rests_is_as_good_as_one_that_does_not() {
                     0 => pair.server.rest(),
                     // By itself, after a while.
                     1 => {
-                        pair.run(Duration::from_secs(6));
+                        pair.run(SessionConfig::default().rest_after + Duration::from_secs(1));
                         assert!(pair.server.mirror().is_none(), "{what}");
                     }
                     _ => {}

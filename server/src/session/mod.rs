@@ -98,7 +98,7 @@ impl Default for SessionConfig {
             max_cache_entries: 1 << 17,
             max_window_bytes: 1 << 20,
             max_bytes: 2 << 30,
-            rest_after: Duration::from_secs(5),
+            rest_after: Duration::from_secs(30),
         }
     }
 }
