@@ -67,8 +67,13 @@ class Lane extends Transform {
 // A way to a port that can be cut, at a port of its own. With a rate (bytes per second each way) and a delay (one way), it is slow.
 export class Cable {
   static async lay(port, { rate, delayMs = 0 } = {}) {
-    const cable = Object.assign(new Cable(), { rate, delayMs, free: [0, 0], bytes: [0, 0], ends: new Set() });
+    const cable = Object.assign(new Cable(), { rate, delayMs, isOut: false, free: [0, 0], bytes: [0, 0], ends: new Set() });
     cable.server = createServer({ noDelay: true }, (near) => {
+      if (cable.isOut) {
+        near.on('error', () => {});
+        near.resetAndDestroy();
+        return;
+      }
       const far = connect({ port, host: '127.0.0.1', noDelay: true });
       for (const [direction, [end, other]] of [[near, far], [far, near]].entries()) {
         cable.ends.add(end);
@@ -83,9 +88,14 @@ export class Cable {
     return cable;
   }
 
-  // All connections break without a word; later ones are as good as ever.
+  // All connections break without a word, and new ones at once, until it is mended.
   cut() {
+    this.isOut = true;
     for (const end of this.ends) end.resetAndDestroy();
+  }
+
+  mend() {
+    this.isOut = false;
   }
 
   close() {

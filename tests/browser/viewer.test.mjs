@@ -361,6 +361,7 @@ test('a connection that breaks is made anew, and the session goes on', async () 
     cable.cut();
     await state(page, 'reconnecting');
     assert.equal((await figures(page)).triangles, before.triangles, 'the picture stays');
+    cable.mend();
     assert.equal(await settled(page), link);
     // A slow machine draws few images meanwhile: some of those after it count too.
     await page.waitForFunction(() => window.seen.length > 10);
