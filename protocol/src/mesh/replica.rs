@@ -294,7 +294,8 @@ impl Replica {
         }
     }
 
-    /// The faces around `slot` in canonical order, written into `fan`. O(valence), no allocation once `fan` has grown.
+    /// The faces around `slot` in canonical order, written into `fan`. O(valence); allocates at boundaries and around
+    /// vertices of more than 16 faces only.
     ///
     /// # Errors
     /// [`ApplyError::NoVertex`].
