@@ -5,6 +5,12 @@
 #[inline]
 pub fn reserve_an_eighth<T>(array: &mut Vec<T>, len: usize) {
     if len > array.capacity() {
-        array.reserve_exact(len + len / 8 + 16 - array.len());
+        array.reserve_exact(and_an_eighth(len) - array.len());
     }
+}
+
+/// Elements to make room for where so many are needed.
+#[inline]
+pub(super) fn and_an_eighth(len: usize) -> usize {
+    len + len / 8 + 16
 }

@@ -9,8 +9,8 @@ use std::collections::BTreeMap;
 use super::bits::SlotSet;
 use super::digest::{face_hash, vertex_hash};
 use super::dirty::DirtySlots;
-use super::fan::{COMMON_SPOKES, Cut, Fan, Walked};
-use super::growth::reserve_an_eighth;
+use super::fan::{Cut, Fan};
+use super::growth::{and_an_eighth, reserve_an_eighth};
 use super::patch::{HalfEdge, NO_HALF_EDGE, Patch, PatchError};
 use crate::ids::VertexSlot;
 use crate::limits::MAX_VERTEX_SLOTS;
@@ -20,13 +20,6 @@ const NONE: u32 = u32::MAX;
 const SPAWNED: u32 = 1 << 31;
 /// A face slot that holds no face. Degenerate, so it may be drawn as it is.
 const NO_FACE: [u32; 3] = [0; 3];
-
-/// How many fans [`Replica::touch_fans`] walks around at once: what a processor looks ahead.
-pub const TOUCHED_AT_ONCE: usize = 8;
-/// How many faces of each.
-const TOUCHED_FACES: usize = 6;
-/// Slots from which on a replica is too large to be near anyway.
-const TOUCHED_FROM: usize = 1 << 13;
 
 /// Geometry of a split: the vertex it inserts and what it does to `s`.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
@@ -292,115 +285,6 @@ impl Replica {
             Some(spawn) => spawn.faces,
             None => slot.faces().iter().filter(|f| self.corner[f.index()] != NO_FACE).count() as u32,
         }
-    }
-
-    /// The faces around `slot` in canonical order, written into `fan`. O(valence); allocates at boundaries and around
-    /// vertices of more than 16 faces only.
-    ///
-    /// # Errors
-    /// [`ApplyError::NoVertex`].
-    pub fn fan(&self, slot: VertexSlot, fan: &mut Fan) -> Result<(), ApplyError> {
-        if !self.vertices.contains(slot.0) {
-            return Err(ApplyError::NoVertex(slot.0));
-        }
-        let start = self.outgoing(self.some_face[slot.index()], slot.0);
-        let mut walked = Walked::new();
-        let (mut h, mut count) = (start, 0);
-        let mut smallest = (u32::MAX, 0);
-        while count < COMMON_SPOKES {
-            let (face, k) = ((h / 4) as usize, (h % 4) as usize);
-            if h < smallest.0 {
-                smallest = (h, count);
-            }
-            // Read on the way: the walk waits for memory, and both reads of a face can wait at once.
-            (walked.out[count], walked.ring[count]) = (h, self.corner[face][AFTER[k]]);
-            count += 1;
-            let next = self.twin[face][BEFORE[k]];
-            if next == start {
-                fan.close(&mut walked, count, smallest.1);
-                return Ok(());
-            }
-            if next == NO_HALF_EDGE {
-                break;
-            }
-            h = next;
-        }
-        self.rare_fan(start, fan);
-        Ok(())
-    }
-
-    /// As [`fan`](Self::fan) does, at a boundary or of a vertex with many faces, from any outgoing half-edge on.
-    #[cold]
-    #[inline(never)]
-    fn rare_fan(&self, start: HalfEdge, fan: &mut Fan) {
-        let mut out = Vec::new();
-        let mut h = start;
-        let mut closed = false;
-        loop {
-            out.push(h);
-            let next = self.twin_of(previous(h));
-            if next == NO_HALF_EDGE {
-                break;
-            }
-            if next == start {
-                closed = true;
-                break;
-            }
-            h = next;
-        }
-        if closed {
-            let smallest = (0..out.len()).min_by_key(|&i| out[i] / 4).unwrap_or(0);
-            out.rotate_left(smallest);
-        } else {
-            // The walk began somewhere in the middle: find the rest, clockwise from the start.
-            let walked = out.len();
-            let mut h = start;
-            loop {
-                let twin = self.twin_of(h);
-                if twin == NO_HALF_EDGE {
-                    break;
-                }
-                h = next_in_face(twin);
-                out.push(h);
-            }
-            // ... s+1, s+2, [s-1, s-2, ...] -> ..., s-2, s-1, s, s+1, s+2
-            out[walked..].reverse();
-            out.rotate_left(walked);
-        }
-        let mut ring: Vec<u32> = out.iter().map(|&h| self.corner_at(next_in_face(h))).collect();
-        if !closed {
-            ring.extend(out.last().map(|&last| self.corner_at(previous(last))));
-        }
-        fan.set(&out, &ring);
-    }
-
-    /// Reads around a few vertices, [`TOUCHED_AT_ONCE`] of which are served best, for no other end than to have their fans near
-    /// the processor: walking one fan means to wait for one read after the other, walking several at once the reads overlap.
-    pub fn touch_fans(&self, slots: &[u32]) {
-        if (self.slot_end as usize) < TOUCHED_FROM {
-            return;
-        }
-        let (corner, twin) = (&self.corner[..], &self.twin[..self.corner.len()]);
-        let mut seen = 0;
-        for slots in slots.chunks_exact(TOUCHED_AT_ONCE) {
-            // Of each walk, the face and the corner of it at which the vertex is.
-            let mut walks: [(usize, usize); TOUCHED_AT_ONCE] = std::array::from_fn(|i| {
-                let face = self.some_face.get(slots[i] as usize).map_or(0, |&face| face as usize);
-                let [a, b, _] = corner[face];
-                (face, if a == slots[i] { 0 } else { 1 + usize::from(b != slots[i]) })
-            });
-            for _ in 0..TOUCHED_FACES {
-                for (face, k) in &mut walks {
-                    let ([a, b, c], [ab, bc, ca]) = (corner[*face], twin[*face]);
-                    let (end, next) = [(b, ca), (c, ab), (a, bc)][*k];
-                    seen ^= self.position[end as usize][0];
-                    if next != NO_HALF_EDGE {
-                        (*face, *k) = ((next / 4) as usize, (next % 4).min(2) as usize);
-                    }
-                }
-            }
-        }
-        std::hint::black_box(seen);
     }
 
     /// Inserts a vertex by splitting `s`, whose fan the caller has just read, and returns its slot: the smallest free one.
@@ -707,8 +591,7 @@ impl Replica {
     #[cold]
     #[inline(never)]
     fn grow(&mut self) {
-        let end = self.slot_end as usize;
-        let slots = end + end / 8 + 16;
+        let slots = and_an_eighth(self.slot_end as usize);
         extend(&mut self.position, slots, [0; 3]);
         extend(&mut self.color, slots, [0; 3]);
         extend(&mut self.origin, slots, NONE);
@@ -890,10 +773,6 @@ fn spawned_face(slots: &[u32], j: u32) -> u32 {
     2 * slots[(j / 2) as usize] + j % 2
 }
 
-/// The half-edge of a face after each, and the one before; those of a fourth are never looked up.
-static AFTER: [usize; 4] = [1, 2, 0, 0];
-static BEFORE: [usize; 4] = [2, 0, 1, 0];
-
 #[inline]
 fn next_in_face(h: HalfEdge) -> HalfEdge {
     if h % 4 == 2 { h - 2 } else { h + 1 }
@@ -903,6 +782,9 @@ fn next_in_face(h: HalfEdge) -> HalfEdge {
 fn previous(h: HalfEdge) -> HalfEdge {
     if h.is_multiple_of(4) { h + 2 } else { h - 1 }
 }
+
+mod walk;
+pub use walk::TOUCHED_AT_ONCE;
 
 #[cfg(test)]
 mod tests;
