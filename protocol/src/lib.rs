@@ -1,6 +1,6 @@
 //! What both ends of a Lodestream session must agree on, and nothing else.
 //!
-//! No I/O, clock, thread or hash-map order lives here, and nothing that both ends must agree on depends on a float.
+//! No I/O, clock, thread or hash-map order lives here, and nothing that both ends must agree on depends on how a float rounds.
 //!
 //! - [`ids`], [`limits`]: newtypes and the limits on what crosses the wire.
 //! - [`quant`]: the integer lattice of a model. [`view`]: what a client wants to see.

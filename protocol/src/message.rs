@@ -9,7 +9,7 @@ use crate::quant::Lattice;
 use crate::view::View;
 
 /// Version of everything in `PROTOCOL.md`. Both ends must have the same.
-pub const PROTOCOL_VERSION: u16 = 5;
+pub const PROTOCOL_VERSION: u16 = 6;
 
 /// What a client says.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -130,7 +130,7 @@ pub fn base_meshes() -> Vec<(&'static str, Patch)> {
 /// Says what is wrong.
 pub fn check_replica(replica: &Replica) -> Result<(), String> {
     let dead = [0; 3];
-    let live: Vec<(u32, [u32; 3])> = (0..).zip(replica.corners().iter().copied()).filter(|&(_, c)| c != dead).collect();
+    let live: Vec<(u32, [u32; 3])> = (0..).zip(replica.corners()).filter(|&(_, c)| c != dead).collect();
     if live.len() as u32 != replica.triangle_count() {
         return Err(format!("{} faces, {} counted", live.len(), replica.triangle_count()));
     }
@@ -152,7 +152,7 @@ pub fn check_replica(replica: &Replica) -> Result<(), String> {
         }
         let mut smallest = u32::MAX;
         for i in 0..fan.faces() {
-            let corners = replica.corners()[fan.face(i).index()];
+            let corners = replica.corners_of(fan.face(i));
             let k = corners.iter().position(|&c| c == slot).ok_or_else(|| format!("a face not of slot {slot}"))?;
             let ring = fan.ring();
             if corners[(k + 1) % 3] != ring[i as usize] || corners[(k + 2) % 3] != ring[(i as usize + 1) % ring.len()] {
@@ -167,7 +167,7 @@ pub fn check_replica(replica: &Replica) -> Result<(), String> {
             && !fan.is_closed()
         {
             let first = live.iter().position(|&(f, _)| f == fan.face(0).0).expect("the face is live");
-            let k = replica.corners()[fan.face(0).index()].iter().position(|&c| c == slot).expect("checked above");
+            let k = replica.corners_of(fan.face(0)).iter().position(|&c| c == slot).expect("checked above");
             if twins[first][k] != u32::MAX {
                 return Err(format!("the open fan of slot {slot} does not begin at the boundary"));
             }

@@ -1,4 +1,4 @@
-//! Golden frames of protocol version 5: the bytes of fixed messages and of a fixed session, as hexadecimal files. They hold
+//! Golden frames of protocol version 6: the bytes of fixed messages and of a fixed session, as hexadecimal files. They hold
 //! `PROTOCOL.md` and the code together and are never rewritten; a new version adds a folder.
 
 use std::path::PathBuf;
@@ -13,7 +13,7 @@ use lodestream_protocol::view::{Projection, View};
 use lodestream_protocol::wire::{decode_client, decode_server, encode_client, encode_server};
 
 fn folder() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden/v5")
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden/v6")
 }
 
 fn hex(bytes: &[u8]) -> String {
@@ -103,7 +103,7 @@ fn client_messages() -> Vec<(&'static str, ClientMessage)> {
     section.projection = Projection::Orthographic { height: 2.5 };
     section.clip_planes = vec![[1.0, 0.0, 0.0, -0.5]];
     section.complete = true;
-    let hello = Hello { version: 5, triangle_limit: 1_000_000, cache_entries: Some(300), byte_rate: None };
+    let hello = Hello { version: 6, triangle_limit: 1_000_000, cache_entries: Some(300), byte_rate: None };
     let resume = Resume { hello, token: token(0xa0), received: Some(BatchSeq(250)) };
     vec![
         ("hello.hex", ClientMessage::Hello(hello)),

@@ -1,14 +1,14 @@
-//! `docs/protocol-v5-numbers.json`: the trained numbers of the protocol as data, for clients in other languages.
+//! `docs/protocol-v6-numbers.json`: the trained numbers of the protocol as data, for clients in other languages.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use lodestream_protocol::message::PROTOCOL_VERSION;
 use lodestream_protocol::op::training::context_names;
-use lodestream_protocol::op::{SizeWeights, TRAINED};
+use lodestream_protocol::op::{ArcWeights, SizeWeights, TRAINED};
 
 fn path() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../docs/protocol-v5-numbers.json")
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../docs/protocol-v6-numbers.json")
 }
 
 fn list<T: ToString>(items: &[T]) -> String {
@@ -35,13 +35,8 @@ fn numbers() -> String {
     let mut out = String::from("{\n");
     let mut put = |key: &str, value: String| writeln!(out, "  \"{key}\": {value},").unwrap();
     put("protocol", PROTOCOL_VERSION.to_string());
-    let cut = &TRAINED.cut;
-    put("cut_length", cut.cut_length.to_string());
-    put("inner_length", cut.inner_length.to_string());
-    put("edge_length", cut.edge_length.to_string());
-    put("area", cut.area.to_string());
-    put("area_squared", cut.area_squared.to_string());
-    put("arcs", rows(&cut.arcs, "  ", |row| list(row)));
+    let arc = |w: &ArcWeights| list(&[w.cut_length, w.inner_length, w.edge_length, w.area, w.area_squared]);
+    put("arcs", rows(&TRAINED.cut.arcs, "  ", arc));
     put("position", rows(&TRAINED.position, "  ", |row| list(row)));
     let size = |size: &SizeWeights| {
         format!("{{ \"constant\": {}, \"features\": {} }}", list(&size.constant), list(&size.features))

@@ -140,7 +140,7 @@ pub fn keyed(model: &PackedModel, replica: &Replica, applied: &[(u32, u32)]) -> 
             faces.insert(2 * slot + 1, FaceKey::Split(op, 1));
         }
     }
-    let live = (0..).zip(replica.corners()).filter(|(_, c)| **c != [0; 3]);
+    let live = (0..).zip(replica.corners()).filter(|(_, c)| *c != [0; 3]);
     live.map(|(f, corners): (u32, _)| (faces[&f], corners.map(|c| vertices[&c]))).collect()
 }
 
@@ -225,7 +225,7 @@ pub fn legal_order(model: &PackedModel) -> Vec<u32> {
 
 /// A mesh as a sorted multiset of lattice triangles.
 pub fn triangles(replica: &Replica) -> Vec<LatticeTriangle> {
-    let live = replica.corners().iter().filter(|c| **c != [0; 3]);
+    let live = replica.corners().filter(|c| *c != [0; 3]);
     let mut triangles: Vec<LatticeTriangle> =
         live.map(|c| canonical(c.map(|v| replica.positions()[v as usize]))).collect();
     triangles.sort_unstable();

@@ -42,10 +42,10 @@ pub fn write_ply(out: &mut impl Write, replica: &Replica, model: &ModelInfo) -> 
         }
     }
     // A face slot without a face repeats a corner, which no face does.
-    for corners in replica.corners().iter().filter(|corners| corners[0] != corners[1]) {
+    for corners in replica.corners().filter(|corners| corners[0] != corners[1]) {
         out.write_all(&[3])?;
         for corner in corners {
-            out.write_all(&index_of[*corner as usize].to_le_bytes())?;
+            out.write_all(&index_of[corner as usize].to_le_bytes())?;
         }
     }
     Ok(())

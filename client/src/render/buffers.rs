@@ -121,7 +121,7 @@ impl MeshBuffers {
                     VERTEX_BYTES
                 }
                 Target::Indices => {
-                    stage.extend_from_slice(bytemuck::cast_slice(gpu_faces(replica, slots.clone())));
+                    gpu_faces(replica, slots.clone()).for_each(|f| stage.extend_from_slice(bytemuck::bytes_of(&f)));
                     FACE_PAIR_BYTES
                 }
             };

@@ -9,7 +9,7 @@ use std::ops::Range;
 
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
-use lodestream_protocol::ids::VertexSlot;
+use lodestream_protocol::ids::{FaceSlot, VertexSlot};
 use lodestream_protocol::mesh::{Birth, Fan, Replica};
 
 use super::morph::{MorphView, Morphs};
@@ -97,7 +97,7 @@ impl Ghosts {
         self.corners.resize(replica.corners().len(), [0; 3]);
         self.colors.resize(replica.colors().len(), [0; 3]);
         for face in faces(touched_pairs) {
-            self.corners[face] = replica.corners()[face];
+            self.corners[face] = replica.corners_of(FaceSlot(face as u32));
         }
         for slot in touched.iter().cloned().flatten().map(|slot| slot as usize) {
             self.colors[slot] = replica.colors()[slot];

@@ -6,6 +6,7 @@
 use std::ops::Range;
 
 use bytemuck::{Pod, Zeroable};
+use lodestream_protocol::ids::FaceSlot;
 use lodestream_protocol::mesh::{DirtySlots, Replica};
 
 use super::morph::GpuMorph;
@@ -180,8 +181,8 @@ pub fn gpu_vertices(replica: &Replica, slots: Range<u32>) -> impl Iterator<Item 
     })
 }
 
-/// The elements of the index buffer for these slots: `len == 6 * slots.len()` once flattened. A face slot without a face
-/// holds `[0, 0, 0]`, which draws nothing.
-pub fn gpu_faces(replica: &Replica, slots: Range<u32>) -> &[[u32; 3]] {
-    &replica.corners()[2 * slots.start as usize..2 * slots.end as usize]
+/// The elements of the index buffer for these slots, `2 * slots.len()` times three. A face slot without a face holds
+/// `[0, 0, 0]`, which draws nothing.
+pub fn gpu_faces(replica: &Replica, slots: Range<u32>) -> impl Iterator<Item = [u32; 3]> + '_ {
+    (2 * slots.start..2 * slots.end).map(|face| replica.corners_of(FaceSlot(face)))
 }

@@ -12,7 +12,7 @@ use super::dirty::DirtySlots;
 use super::fan::{Cut, Fan};
 use super::growth::{and_an_eighth, reserve_an_eighth};
 use super::patch::{HalfEdge, NO_HALF_EDGE, Patch, PatchError};
-use crate::ids::VertexSlot;
+use crate::ids::{FaceSlot, VertexSlot};
 use crate::limits::MAX_VERTEX_SLOTS;
 
 const NONE: u32 = u32::MAX;
@@ -91,6 +91,26 @@ struct Move {
     color: [u8; 3],
 }
 
+/// What an op looks at of a vertex slot, next to each other since memory comes in lines.
+#[derive(Clone, Copy, Debug)]
+struct Op {
+    /// `s` of the split that made the slot, `SPAWNED | address`, or `NONE` for base slots and free ones.
+    origin: u32,
+    /// Address of the last op on the vertex (its creation or last split), `NONE` for an untouched base vertex.
+    last_op: u32,
+    /// At op addresses: how many references applied ops hold.
+    references: u32,
+    /// Any face slot around the vertex. A hint without meaning for the other end.
+    some_face: u32,
+}
+
+/// A face: a walk from face to face reads both of each.
+#[derive(Clone, Copy, Debug)]
+struct Face {
+    corners: [u32; 3],
+    twins: [HalfEdge; 3],
+}
+
 /// The current mesh. See the module.
 ///
 /// Memory: 83 bytes per slot and a few bits, plus 16 for models whose placement moves vertices, and at most an eighth more.
@@ -101,21 +121,13 @@ pub struct Replica {
     // Per vertex slot, and room for as many more as an eighth.
     position: Vec<[i32; 3]>,
     color: Vec<[u8; 3]>,
-    /// `s` of the split that made the slot, `SPAWNED | address`, or `NONE` for base slots and free ones.
-    origin: Vec<u32>,
-    /// Address of the last op on the vertex (its creation or last split), `NONE` for an untouched base vertex.
-    last_op: Vec<u32>,
+    ops: Vec<Op>,
     /// `last_op` of `s` before the split that made this slot.
     prev_op: Vec<u32>,
-    /// At op addresses: how many references applied ops hold.
-    references: Vec<u32>,
-    /// Any face slot around the vertex. A hint without meaning for the other end.
-    some_face: Vec<u32>,
     /// Displacements of `s`; as long as needed, empty for placements that keep `s`.
     moves: Vec<Move>,
     // Per face slot.
-    corner: Vec<[u32; 3]>,
-    twin: Vec<[HalfEdge; 3]>,
+    faces: Vec<Face>,
 
     occupied: SlotSet,
     vertices: SlotSet,
@@ -145,14 +157,10 @@ impl Replica {
             slot_end: 0,
             position: Vec::new(),
             color: Vec::new(),
-            origin: Vec::new(),
-            last_op: Vec::new(),
+            ops: Vec::new(),
             prev_op: Vec::new(),
-            references: Vec::new(),
-            some_face: Vec::new(),
             moves: Vec::new(),
-            corner: Vec::new(),
-            twin: Vec::new(),
+            faces: Vec::new(),
             occupied: SlotSet::default(),
             vertices: SlotSet::default(),
             collapsible: SlotSet::default(),
@@ -240,10 +248,16 @@ impl Replica {
         &self.color[..self.slot_end as usize]
     }
 
-    /// Corners by face slot, `len == 2 * slot_end()`. A slot without a face holds `[0, 0, 0]`.
+    /// Corners by face slot, `2 * slot_end()` in all. A slot without a face holds `[0, 0, 0]`.
     #[inline]
-    pub fn corners(&self) -> &[[u32; 3]] {
-        &self.corner[..2 * self.slot_end as usize]
+    pub fn corners(&self) -> impl ExactSizeIterator<Item = [u32; 3]> + Clone + '_ {
+        self.faces[..2 * self.slot_end as usize].iter().map(|face| face.corners)
+    }
+
+    /// Corners of a face slot below `2 * slot_end()`.
+    #[inline]
+    pub fn corners_of(&self, face: FaceSlot) -> [u32; 3] {
+        self.faces[face.index()].corners
     }
 
     /// Order-independent sum over vertices (slot, position, colour) and faces (slot, corners in stored rotation).
@@ -275,7 +289,7 @@ impl Replica {
     /// The vertex that was split to make this slot, or `None` for base, spawned and free slots.
     #[inline]
     pub fn split_from(&self, slot: VertexSlot) -> Option<VertexSlot> {
-        let origin = *self.origin.get(slot.index())?;
+        let origin = self.ops.get(slot.index())?.origin;
         (origin < SPAWNED).then_some(VertexSlot(origin))
     }
 
@@ -283,7 +297,7 @@ impl Replica {
     pub fn triangles_of(&self, slot: VertexSlot) -> u32 {
         match self.spawns.get(&slot.0) {
             Some(spawn) => spawn.faces,
-            None => slot.faces().iter().filter(|f| self.corner[f.index()] != NO_FACE).count() as u32,
+            None => slot.faces().iter().filter(|f| self.faces[f.index()].corners != NO_FACE).count() as u32,
         }
     }
 
@@ -318,13 +332,13 @@ impl Replica {
             return Err(ApplyError::OutOfSlots);
         }
         self.occupy(t);
-        let before = self.last_op[s.index()];
+        let before = self.ops[s.index()].last_op;
         self.add_reference(before);
         self.prev_op[t as usize] = before;
-        self.last_op[s.index()] = t;
-        self.last_op[t as usize] = t;
-        self.origin[t as usize] = s.0;
-        self.references[t as usize] = 0;
+        self.ops[s.index()].last_op = t;
+        self.ops[t as usize].last_op = t;
+        self.ops[t as usize].origin = s.0;
+        self.ops[t as usize].references = 0;
         self.collapsible.insert(t);
         self.put_vertex(t, vertex.position, vertex.color);
         if let Some(dirty) = &mut self.dirty {
@@ -381,8 +395,8 @@ impl Replica {
             self.link(f_l * 4, Some(f_r * 4));
         }
         let face = if left.is_some() { f_l } else { f_r };
-        self.some_face[s.index()] = face;
-        self.some_face[t as usize] = face;
+        self.ops[s.index()].some_face = face;
+        self.ops[t as usize].some_face = face;
         Ok(VertexSlot(t))
     }
 
@@ -398,7 +412,8 @@ impl Replica {
         };
         // Relabel the fan of t, walking both ways from f_l and f_r (they are neighbours across s-t).
         let [f_l, f_r] = [2 * t.0, 2 * t.0 + 1];
-        let (has_left, has_right) = (self.corner[f_l as usize] != NO_FACE, self.corner[f_r as usize] != NO_FACE);
+        let (has_left, has_right) =
+            (self.faces[f_l as usize].corners != NO_FACE, self.faces[f_r as usize].corners != NO_FACE);
         let pair = |replica: &Self, face: u32| (replica.twin_of(face * 4 + 1), replica.twin_of(face * 4 + 2));
         // f_l = (s, t, l): edge 1 is t -> l with the t side behind it, edge 2 is l -> s with the s side.
         let (l_t, l_s) = if has_left { pair(self, f_l) } else { (NO_HALF_EDGE, NO_HALF_EDGE) };
@@ -421,8 +436,8 @@ impl Replica {
             }
         }
         let absent = VertexSlot::NONE;
-        let left = if has_left { VertexSlot(self.corner[f_l as usize][2]) } else { absent };
-        let right = if has_right { VertexSlot(self.corner[f_r as usize][2]) } else { absent };
+        let left = if has_left { VertexSlot(self.faces[f_l as usize].corners[2]) } else { absent };
+        let right = if has_right { VertexSlot(self.faces[f_r as usize].corners[2]) } else { absent };
         for (a, b, exists, face) in [(l_t, l_s, has_left, f_l), (r_t, r_s, has_right, f_r)] {
             if !exists {
                 continue;
@@ -433,15 +448,15 @@ impl Replica {
             self.join(a, b);
         }
         let previous_op = self.prev_op[t.index()];
-        self.last_op[s.index()] = previous_op;
+        self.ops[s.index()].last_op = previous_op;
         self.drop_reference(previous_op, released);
         // f_l and f_r may have been the hints of their corners: name a neighbour instead. One exists, since a split opens
         // next to a face.
         for (v, a, b) in [(left, l_t, l_s), (right, r_t, r_s)] {
             if v != absent {
                 let near = if a != NO_HALF_EDGE { a } else { b };
-                self.some_face[v.index()] = near / 4;
-                self.some_face[s.index()] = near / 4;
+                self.ops[v.index()].some_face = near / 4;
+                self.ops[s.index()].some_face = near / 4;
             }
         }
 
@@ -456,7 +471,7 @@ impl Replica {
         self.take_vertex(t.0);
         self.collapsible.remove(t.0);
         self.occupied.remove(t.0);
-        self.origin[t.index()] = NONE;
+        self.ops[t.index()].origin = NONE;
         Ok(SplitUndo { s, vertex, left, right })
     }
 
@@ -506,7 +521,7 @@ impl Replica {
         let address = slots[0];
         self.insert_patch(patch, twins, &slots, address);
         self.collapsible.insert(address);
-        self.references[address as usize] = 0;
+        self.ops[address as usize].references = 0;
         self.spawned_ids.insert(id);
         self.spawned_slots += slots.len();
         let spawn = Spawn { id, slots: slots.into_boxed_slice(), faces: patch.faces.len() as u32 };
@@ -530,7 +545,7 @@ impl Replica {
             if self.vertices.contains(slot) {
                 self.take_vertex(slot);
             }
-            self.origin[slot as usize] = NONE;
+            self.ops[slot as usize].origin = NONE;
             self.occupied.remove(slot);
         }
         self.collapsible.remove(address.0);
@@ -545,7 +560,7 @@ impl Replica {
         if slot.0 < self.base_slots {
             return None;
         }
-        let origin = self.origin[slot.index()];
+        let origin = self.ops[slot.index()].origin;
         match origin {
             NONE => None,
             _ if origin & SPAWNED != 0 => Some(VertexSlot(origin & !SPAWNED)),
@@ -557,10 +572,10 @@ impl Replica {
     pub fn heap_bytes(&self) -> usize {
         self.position.capacity() * 12
             + self.color.capacity() * 3
-            + (self.origin.capacity() + self.last_op.capacity() + self.prev_op.capacity()) * 4
-            + (self.references.capacity() + self.some_face.capacity()) * 4
+            + self.ops.capacity() * size_of::<Op>()
+            + self.prev_op.capacity() * 4
             + self.moves.capacity() * size_of::<Move>()
-            + (self.corner.capacity() + self.twin.capacity()) * 12
+            + self.faces.capacity() * size_of::<Face>()
             + self.occupied.heap_bytes()
             + self.vertices.heap_bytes()
             + self.collapsible.heap_bytes()
@@ -572,7 +587,7 @@ impl Replica {
     #[cfg(any(test, feature = "testing"))]
     pub fn recompute_digest(&mut self) -> u64 {
         let vertices = self.vertices.iter().map(|v| vertex_hash(v, self.position[v as usize], self.color[v as usize]));
-        let faces = (0..).zip(&self.corner).filter(|(_, c)| **c != NO_FACE).map(|(f, c)| face_hash(f, *c));
+        let faces = (0..).zip(self.corners()).filter(|(_, c)| *c != NO_FACE).map(|(f, c)| face_hash(f, c));
         vertices.chain(faces).fold(0, u64::wrapping_add)
     }
 
@@ -594,23 +609,19 @@ impl Replica {
         let slots = and_an_eighth(self.slot_end as usize);
         extend(&mut self.position, slots, [0; 3]);
         extend(&mut self.color, slots, [0; 3]);
-        extend(&mut self.origin, slots, NONE);
-        extend(&mut self.last_op, slots, NONE);
+        extend(&mut self.ops, slots, Op { origin: NONE, last_op: NONE, references: 0, some_face: 0 });
         extend(&mut self.prev_op, slots, NONE);
-        extend(&mut self.references, slots, 0);
-        extend(&mut self.some_face, slots, 0);
-        extend(&mut self.corner, 2 * slots, NO_FACE);
-        extend(&mut self.twin, 2 * slots, [NO_HALF_EDGE; 3]);
+        extend(&mut self.faces, 2 * slots, Face { corners: NO_FACE, twins: [NO_HALF_EDGE; 3] });
     }
 
     fn insert_patch(&mut self, patch: &Patch, twins: &[[u32; 3]], slots: &[u32], address: u32) {
         let origin = if address == NONE { NONE } else { SPAWNED | address };
         for &slot in slots {
-            self.origin[slot as usize] = origin;
+            self.ops[slot as usize].origin = origin;
         }
         for (j, (&position, &color)) in patch.positions.iter().zip(&patch.colors).enumerate() {
             let slot = slots[j] as usize;
-            self.last_op[slot] = address;
+            self.ops[slot].last_op = address;
             self.prev_op[slot] = NONE;
             self.put_vertex(slots[j], position, color);
             if let Some(dirty) = &mut self.dirty {
@@ -625,26 +636,26 @@ impl Replica {
                     NO_HALF_EDGE => NO_HALF_EDGE,
                     _ => spawned_face(slots, twin / 4) * 4 + twin % 4,
                 };
-                self.twin[f as usize][k] = to;
-                self.some_face[slots[face[k] as usize] as usize] = f;
+                self.faces[f as usize].twins[k] = to;
+                self.ops[slots[face[k] as usize] as usize].some_face = f;
             }
         }
     }
 
     #[inline]
     fn twin_of(&self, h: HalfEdge) -> HalfEdge {
-        self.twin[(h / 4) as usize][(h % 4) as usize]
+        self.faces[(h / 4) as usize].twins[(h % 4) as usize]
     }
 
     #[inline]
     fn corner_at(&self, h: HalfEdge) -> u32 {
-        self.corner[(h / 4) as usize][(h % 4) as usize]
+        self.faces[(h / 4) as usize].corners[(h % 4) as usize]
     }
 
     /// The half-edge of `face` that starts at `vertex`.
     #[inline]
     fn outgoing(&self, face: u32, vertex: u32) -> HalfEdge {
-        let c = self.corner[face as usize];
+        let c = self.faces[face as usize].corners;
         debug_assert!(c.contains(&vertex), "the hint of slot {vertex} is stale");
         face * 4
             + if c[0] == vertex {
@@ -685,9 +696,10 @@ impl Replica {
 
     fn set_corner(&mut self, h: HalfEdge, to: u32) {
         let (face, k) = ((h / 4) as usize, (h % 4) as usize);
-        let before = self.corner[face];
-        self.corner[face][k] = to;
-        let after = self.corner[face];
+        let corners = &mut self.faces[face].corners;
+        let before = *corners;
+        corners[k] = to;
+        let after = *corners;
         self.digest = self.digest.wrapping_sub(face_hash(h / 4, before)).wrapping_add(face_hash(h / 4, after));
         if let Some(dirty) = &mut self.dirty {
             dirty.touch_face(h / 4);
@@ -695,8 +707,7 @@ impl Replica {
     }
 
     fn put_face(&mut self, face: u32, corners: [u32; 3]) {
-        self.corner[face as usize] = corners;
-        self.twin[face as usize] = [NO_HALF_EDGE; 3];
+        self.faces[face as usize] = Face { corners, twins: [NO_HALF_EDGE; 3] };
         self.triangles += 1;
         self.digest = self.digest.wrapping_add(face_hash(face, corners));
         if let Some(dirty) = &mut self.dirty {
@@ -705,7 +716,7 @@ impl Replica {
     }
 
     fn take_face(&mut self, face: u32) {
-        let corners = std::mem::replace(&mut self.corner[face as usize], NO_FACE);
+        let corners = std::mem::replace(&mut self.faces[face as usize].corners, NO_FACE);
         self.triangles -= 1;
         self.digest = self.digest.wrapping_sub(face_hash(face, corners));
         if let Some(dirty) = &mut self.dirty {
@@ -714,30 +725,30 @@ impl Replica {
     }
 
     fn link(&mut self, a: HalfEdge, b: Option<HalfEdge>) {
-        self.twin[(a / 4) as usize][(a % 4) as usize] = b.unwrap_or(NO_HALF_EDGE);
+        self.faces[(a / 4) as usize].twins[(a % 4) as usize] = b.unwrap_or(NO_HALF_EDGE);
         if let Some(b) = b {
-            self.twin[(b / 4) as usize][(b % 4) as usize] = a;
+            self.faces[(b / 4) as usize].twins[(b % 4) as usize] = a;
         }
     }
 
     fn join(&mut self, a: HalfEdge, b: HalfEdge) {
         for (from, to) in [(a, b), (b, a)] {
             if from != NO_HALF_EDGE {
-                self.twin[(from / 4) as usize][(from % 4) as usize] = to;
+                self.faces[(from / 4) as usize].twins[(from % 4) as usize] = to;
             }
         }
     }
 
     fn add_reference(&mut self, address: u32) {
         if address != NONE {
-            self.references[address as usize] += 1;
+            self.ops[address as usize].references += 1;
             self.collapsible.remove(address);
         }
     }
 
     fn drop_reference(&mut self, address: u32, released: &mut Vec<VertexSlot>) {
         if address != NONE {
-            let count = &mut self.references[address as usize];
+            let count = &mut self.ops[address as usize].references;
             *count -= 1;
             if *count == 0 {
                 self.collapsible.insert(address);

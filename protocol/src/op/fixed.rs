@@ -29,30 +29,27 @@ pub(crate) const fn power(x: i32) -> u32 {
     }
 }
 
-/// Most that [`mean`] divides by without a division.
-const MAX_RECIPROCAL: usize = 16;
+/// Counts with a reciprocal in the table.
+const RECIPROCALS: usize = 64;
 
-/// `2^35 / count`, rounded up.
-static RECIPROCALS: [u64; MAX_RECIPROCAL + 1] = {
-    let mut reciprocals = [0; MAX_RECIPROCAL + 1];
+static TABLE: [u32; RECIPROCALS] = {
+    let mut table = [0; RECIPROCALS];
     let mut count = 1;
-    while count <= MAX_RECIPROCAL {
-        reciprocals[count] = (1u64 << 35).div_ceil(count as u64);
+    while count < RECIPROCALS {
+        table[count] = divided(count);
         count += 1;
     }
-    reciprocals
+    table
 };
 
-/// `64 sum / count`, towards zero, of a sum of `count` numbers of at most 2^21 in magnitude; 0 without any.
+const fn divided(count: usize) -> u32 {
+    (((1 << 16) + count / 2) / count) as u32
+}
+
+/// `2^16 / count`, rounded; 0 for no count.
 #[inline]
-pub(crate) fn mean(sum: i64, count: usize) -> i64 {
-    if count > MAX_RECIPROCAL {
-        return sum * 64 / count as i64;
-    }
-    // A rounded reciprocal is too large by less than `count / 2^35`, and `64 sum` is at most `count 2^27`: the product is too
-    // large by less than `count^2 / 2^8 <= 1` in units of the last quotient's `1 / count`, so its floor is the quotient.
-    let magnitude = (sum.unsigned_abs() * 64 * RECIPROCALS[count]) >> 35;
-    if sum < 0 { -(magnitude as i64) } else { magnitude as i64 }
+pub(crate) fn reciprocal(count: usize) -> u32 {
+    TABLE.get(count).copied().unwrap_or_else(|| divided(count))
 }
 
 #[cfg(test)]
@@ -60,16 +57,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn means_are_quotients() {
-        let mut rng = fastrand::Rng::with_seed(5);
-        assert_eq!(mean(0, 0), 0);
-        for count in 1..40 {
-            let most = (count as i64) << 21;
-            let at_random = (0..5000).map(|_| rng.i64(-most..=most) >> rng.u32(0..30));
-            let near_multiples = (0..4000).map(|i| most - i);
-            for sum in at_random.chain(near_multiples).flat_map(|sum| [sum, -sum]) {
-                assert_eq!(mean(sum, count), sum * 64 / count as i64, "{sum} / {count}");
-            }
+    fn reciprocals_are_rounded_quotients() {
+        assert_eq!(reciprocal(0), 0);
+        for count in 1..300 {
+            assert_eq!(reciprocal(count), (65_536.0 / count as f64).round() as u32, "{count}");
         }
     }
 

@@ -5,8 +5,8 @@
 //! residuals will be is predicted as well, since most of their cost is their size.
 
 use super::color::{ColorModels, Share};
-use super::fixed::{lg, mean};
-use super::local::{Ring, dot};
+use super::fixed::{lg, reciprocal};
+use super::local::Ring;
 use super::observe::{Note, Part};
 use super::range_coder::{BitCoder, NumberModel, Prob, ScaledSet, contexts};
 use super::steps::{Grid, StepModels};
@@ -91,8 +91,11 @@ impl GeometryModels {
         axes = grid.axes;
         let [u, v, h] = axes;
         let mut place = |set: &mut ScaledSet, k: usize| {
-            let near = prediction.point[k].wrapping_add(grid.unit / 2).div_euclid(grid.unit);
-            let away = set.signed(coder, sets.2, size, (value.position[k] / grid.unit).wrapping_sub(near));
+            let (mut near, mut wanted) = (prediction.point[k], value.position[k]);
+            if grid.unit > 1 {
+                (near, wanted) = (near.wrapping_add(grid.unit / 2).div_euclid(grid.unit), wanted / grid.unit);
+            }
+            let away = set.signed(coder, sets.2, size, wanted.wrapping_sub(near));
             out.position[k] = near.wrapping_add(away).wrapping_mul(grid.unit);
             out.position[k].wrapping_sub(prediction.point[k])
         };
@@ -184,8 +187,11 @@ struct Prediction {
 pub struct GeometryFeatures {
     /// Shape of the cut.
     pub shape: usize,
-    /// Centres of the spokes inside the arc, of left and right, of the other spokes, and of all; relative to `s`, in 1/64.
-    pub centers: [[i64; 3]; 4],
+    /// Sums of the spokes inside the arc (of left and right where there are none), of left and right, of the other spokes, and
+    /// of all; relative to `s`.
+    pub sums: [[i64; 3]; 4],
+    /// Of how many spokes each is the sum.
+    pub counts: [usize; 4],
     /// What the sizes of tangential residuals follow from.
     pub tangent: SizeFeatures,
     /// What the sizes of residuals along the normal follow from.
@@ -193,8 +199,9 @@ pub struct GeometryFeatures {
 }
 
 impl GeometryFeatures {
+    #[inline]
     pub(crate) fn new(fan: &Fan, ring: &Ring, cut: Cut) -> Self {
-        let spokes = ring.spokes.len();
+        let spokes = ring.count();
         let arc = fan.arc_len(cut) as usize;
         // The spokes inside the arc, and those that the cut opens.
         let (first, inner, ends) = match cut {
@@ -205,43 +212,43 @@ impl GeometryFeatures {
         let mut inside = [0; 3];
         let mut at = if first >= spokes { 0 } else { first };
         for _ in 0..inner.min(spokes) {
-            inside = add(inside, ring.spokes[at]);
+            inside = add(inside, ring.spoke_at(at));
             at = if at + 1 == spokes { 0 } else { at + 1 };
         }
         let mut opened = [0; 3];
         let mut count = 0;
         for spoke in ends.into_iter().flatten() {
-            opened = add(opened, ring.spokes[spoke as usize]);
+            opened = add(opened, ring.spoke_at(spoke as usize));
             count += 1;
         }
-        let mean = |sum: [i64; 3], count: usize| sum.map(|x| mean(x, count));
-        let ends_center = mean(opened, count);
-        let arc_center = if inner == 0 { ends_center } else { mean(inside, inner) };
+        let (arc_sum, arc_count) = if inner == 0 { (opened, count) } else { (inside, inner) };
         let rest: [i64; 3] = std::array::from_fn(|k| ring.sum[k] - inside[k] - opened[k]);
-        let rest_center = mean(rest, spokes.saturating_sub(inner + count));
-        let span: [i64; 3] = match ends {
-            [Some(a), Some(b)] => std::array::from_fn(|k| ring.spokes[a as usize][k] - ring.spokes[b as usize][k]),
-            _ => opened,
-        };
-        let square = |a: [i64; 3]| lg(dot(a, a) as u64);
-        // In 1/64, so six octaves more.
-        let arc_length = square(arc_center) - 2 * 6 * 16;
-        let heights = ring.spokes.iter().map(|&d| dot(d, ring.normal).unsigned_abs());
-        let above = heights.fold(0, u64::saturating_add);
-        let roughness = 2 * (lg(above / spokes as u64)) - square(ring.normal);
-        let area = lg(ring.areas.iter().fold(0, |sum: i64, &x| sum.saturating_add(x)) as u64);
+        let scaled = |spoke: Option<u32>| spoke.map_or([0; 3], |spoke| ring.scaled_spoke_at(spoke as usize));
+        let (a, b) = (scaled(ends[0]), scaled(ends[1]));
+        let span: [i64; 3] = std::array::from_fn(|k| i64::from(a[k] - b[k]));
+        let span = lg_of_square(span) + ring.unscaled();
+        let arc_length = lg_of_square(arc_sum) - 2 * lg(arc_count as u64);
+        let normal = lg_of_square(ring.normal.map(i64::from));
+        let roughness = 2 * (lg(ring.heights()) - lg(spokes as u64)) - normal + ring.unscaled();
+        let area = lg(ring.area) + ring.unscaled();
         let shape = arc.clamp(1, 6) - 1 + if fan.is_closed() { 0 } else { 6 };
         Self {
             shape,
-            centers: [arc_center, ends_center, rest_center, mean(ring.sum, spokes)],
-            tangent: [ring.spoke, ring.shortest, square(span), arc_length, ring.edge, area],
-            height: [ring.spoke, roughness, square(span), arc_length, ring.edge, area],
+            sums: [arc_sum, opened, rest, ring.sum],
+            counts: [arc_count, count, spokes.saturating_sub(inner + count), spokes],
+            tangent: [ring.spoke, ring.shortest, span, arc_length, ring.edge, area],
+            height: [ring.spoke, roughness, span, arc_length, ring.edge, area],
         }
     }
 }
 
-fn add(a: [i64; 3], b: [i64; 3]) -> [i64; 3] {
-    [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
+fn add(a: [i64; 3], b: [i32; 3]) -> [i64; 3] {
+    std::array::from_fn(|k| a[k] + i64::from(b[k]))
+}
+
+/// `lg` of a vector's squared length, which does not overflow unless hundreds of the longest spokes are summed up.
+fn lg_of_square(a: [i64; 3]) -> i32 {
+    lg(a.iter().fold(0, |sum: i64, x| sum.wrapping_add(x.wrapping_mul(*x))) as u64)
 }
 
 impl SizeWeights {
@@ -252,31 +259,36 @@ impl SizeWeights {
 }
 
 impl Prediction {
+    #[inline]
     fn new(trained: &Trained, fan: &Fan, ring: &Ring, cut: Cut) -> Self {
-        let features = GeometryFeatures::new(fan, ring, cut);
-        let weights = &trained.position[features.shape];
+        let GeometryFeatures { shape, sums, counts, tangent, height } = GeometryFeatures::new(fan, ring, cut);
+        // Weights in 1/256 by reciprocals in 1/65536.
+        let weights: [i64; 4] =
+            std::array::from_fn(|i| i64::from(trained.position[shape][i]) * i64::from(reciprocal(counts[i])));
         let point = std::array::from_fn(|k| {
-            let sum: i64 = (0..4).map(|i| i64::from(weights[i]) * features.centers[i][k]).sum();
-            // Weights in 1/256 of centres in 1/64.
-            ring.origin[k].wrapping_add(((sum + (1 << 13)) >> 14) as i32)
+            let sum = (0..4).fold(1 << 23, |sum: i64, i| sum.wrapping_add(weights[i].wrapping_mul(sums[i][k])));
+            ring.origin[k].wrapping_add((sum >> 24) as i32)
         });
         Self {
             point,
-            tangent_size: trained.tangent_size.size(features.shape, &features.tangent),
-            height_size: trained.height_size.size(features.shape, &features.height),
+            tangent_size: trained.tangent_size.size(shape, &tangent),
+            height_size: trained.height_size.size(shape, &height),
         }
     }
 }
 
-/// How far the fan's plane falls along the third axis over a step along the first two.
+/// How far the fan's plane falls along the third axis over a step along the first two, towards zero.
 fn fall(ring: &Ring, [u, v, h]: [usize; 3], du: i32, dv: i32) -> i32 {
-    if ring.normal[h] == 0 {
+    let [along_u, along_v, down] = [u, v, h].map(|axis| i64::from(ring.normal[axis]));
+    if down == 0 {
         return 0;
     }
     // The decoder may see residuals of any size; an honest encoder's fit 22 bits.
     let clamp = |d: i32| i64::from(d.clamp(-(1 << 22), 1 << 22));
-    let slope = ring.normal[u] * clamp(du) + ring.normal[v] * clamp(dv);
-    (slope / ring.normal[h]).clamp(-(1 << 23), 1 << 23) as i32
+    let slope = along_u * clamp(du) + along_v * clamp(dv);
+    // A division of small numbers without signs is the fastest.
+    let magnitude = (slope.unsigned_abs() / down.unsigned_abs()).min(1 << 23) as i32;
+    if (slope < 0) == (down < 0) { magnitude } else { -magnitude }
 }
 
 const _: () = assert!(CUT_SHAPES == 12);

@@ -27,8 +27,8 @@ pub use batch::{
     BatchEncoder, DecodeError, OpCounts, OpState, SavedContexts, decode_batch, decode_batch_measured,
     decode_batch_traced, encode_trace,
 };
-pub use cut::CutFeatures;
+pub use cut::{CutFeatures, MAX_RANKED_VALENCE};
 pub use geometry::{GeometryFeatures, SizeFeatures};
 pub use observe::{BatchTrace, Breakdown, Part};
 pub use patch::{CanonicalOrder, PatchDecodeError, canonical_order, decode_base, encode_base};
-pub use trained::{CUT_SHAPES, CutWeights, SizeWeights, TRAINED, Trained};
+pub use trained::{ArcWeights, CUT_SHAPES, CutWeights, SizeWeights, TRAINED, Trained};

@@ -3,6 +3,8 @@
 //! Both directions implement [`BitCoder`], so that a model is written once and cannot differ between the two ends: the
 //! encoder codes the bit it is given and returns it, the decoder ignores it and returns the one it finds.
 
+use std::hint::select_unpredictable;
+
 use super::observe::Note;
 
 /// Probability that the next bit is 0, as the mean of a fast and a slow estimate of 16 bits each: the upper and the lower half.
@@ -158,12 +160,8 @@ impl BitCoder for Encoder {
     #[inline]
     fn bit(&mut self, p: &mut Prob, bit: bool) -> bool {
         let bound = (self.range >> 16) * p.zero();
-        if bit {
-            self.low += u64::from(bound);
-            self.range -= bound;
-        } else {
-            self.range = bound;
-        }
+        self.low += select_unpredictable(bit, u64::from(bound), 0);
+        self.range = select_unpredictable(bit, self.range - bound, bound);
         p.adapt(bit);
         self.normalize();
         bit
@@ -233,8 +231,8 @@ impl BitCoder for Decoder<'_> {
         let bound = (self.range >> 16) * p.zero();
         // Selected, not jumped to: which it is can often not be foreseen.
         let bit = self.code >= bound;
-        self.code -= if bit { bound } else { 0 };
-        self.range = if bit { self.range - bound } else { bound };
+        self.code = select_unpredictable(bit, self.code.wrapping_sub(bound), self.code);
+        self.range = select_unpredictable(bit, self.range - bound, bound);
         p.adapt(bit);
         self.normalize();
         bit

@@ -56,7 +56,7 @@ impl StepModels {
         position: [i32; 3],
     ) -> Grid {
         let [_, _, h] = ring.axes;
-        let facing = |k: usize| ring.normal[k].unsigned_abs();
+        let facing = |k: usize| u64::from(ring.normal[k].unsigned_abs());
         let (next, last) = match h {
             0 => (1, 2),
             1 => (0, 2),

@@ -1,9 +1,17 @@
 //! Numbers that were learnt from sessions over scans and generated meshes.
 
-/// Weights of the score that ranks cuts, in 1/256 of what [`CutFeatures`](super::cut::CutFeatures) count; the score is in
-/// 1/16 bit.
+use super::cut::MAX_RANKED_VALENCE;
+
+/// Weights of the scores that rank the starts of arcs, by arc length.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CutWeights {
+    /// By arc length; the first is of no use.
+    pub arcs: [ArcWeights; MAX_RANKED_VALENCE as usize],
+}
+
+/// Weights of a score, in 1/256 of what [`CutFeatures`](super::cut::CutFeatures) count; the score is in 1/16 bit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ArcWeights {
     /// On `cut_length`.
     pub cut_length: i32,
     /// On `inner_length`.
@@ -14,8 +22,6 @@ pub struct CutWeights {
     pub area: i32,
     /// On the square of `area` in 1/256.
     pub area_squared: i32,
-    /// By valence and arc length, in 1/16 bit.
-    pub arcs: [[i32; 16]; 16],
 }
 
 /// Shapes of cuts that the geometry's weights tell apart: closed and open fans by arc length 1 to 6 and more.

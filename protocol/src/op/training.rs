@@ -1,20 +1,20 @@
 //! What the training program (`tests/measure/src/bin/train.rs`) needs to see of the codec.
 
-use super::cut::{CutFeatures, RANKED_VALENCES, for_each_pair};
+use super::cut::{CutFeatures, RANKED_VALENCES, features_of_starts};
 use super::geometry::GeometryFeatures;
 use super::local::Ring;
 use super::observe::{Note, Observer};
 use super::range_coder::Prob;
 use crate::mesh::{Cut, Fan, Replica};
 
-/// A choice among the ways to cut a closed fan.
+/// A choice among the starts of an arc in a closed fan.
 #[derive(Clone, Debug)]
 pub struct CutSample {
-    /// Valence.
-    pub valence: u32,
-    /// Arc length and features of each pair.
-    pub pairs: Vec<(u32, CutFeatures)>,
-    /// Which of the pairs it was.
+    /// Arc length.
+    pub arc: u32,
+    /// Features of each start.
+    pub starts: Vec<CutFeatures>,
+    /// Which of them it was.
     pub chosen: usize,
 }
 
@@ -24,7 +24,7 @@ pub struct Sample {
     /// For position.
     pub geometry: GeometryFeatures,
     /// Normal of the fan and the axes across and along its dominant direction.
-    pub normal: [i64; 3],
+    pub normal: [i32; 3],
     /// See `normal`.
     pub axes: [usize; 3],
     /// For the cut.
@@ -38,16 +38,10 @@ impl Sample {
         ring.read(s, fan, replica.positions());
         let spokes = fan.ring().len() as u32;
         let sample = match cut {
-            Cut::Both { right, left } if fan.is_closed() && RANKED_VALENCES.contains(&spokes) => {
-                let mut pairs = Vec::new();
-                let mut chosen = 0;
-                for_each_pair(&ring, |r, arc, features| {
-                    if r == right && (r + arc) % spokes == left {
-                        chosen = pairs.len();
-                    }
-                    pairs.push((arc, features));
-                });
-                Some(CutSample { valence: spokes, pairs, chosen })
+            Cut::Both { right, .. } if fan.is_closed() && RANKED_VALENCES.contains(&spokes) => {
+                let arc = fan.arc_len(cut);
+                let starts = features_of_starts(&ring, spokes as usize, arc as usize);
+                Some(CutSample { arc, starts, chosen: right as usize })
             }
             _ => None,
         };

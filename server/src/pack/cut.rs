@@ -47,7 +47,7 @@ pub fn resolve_cut(
 /// The spoke that an edge of a face around `s` lies on.
 fn spoke_of(replica: &Replica, fan: &Fan, s: VertexSlot, (face, edge): (FaceSlot, u8)) -> Result<u32, CutError> {
     let index = (0..fan.faces()).find(|&i| fan.face(i) == face).ok_or(CutError::NotAround(face.0))?;
-    let corners = replica.corners()[face.index()];
+    let corners = replica.corners_of(face);
     let k = usize::from(edge);
     if corners.get(k) == Some(&s.0) {
         return Ok(index);

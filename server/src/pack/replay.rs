@@ -152,5 +152,5 @@ pub fn extract(model: &PackedModel, replica: &Replica) -> TriMesh {
 
 /// Corner slots of the faces that exist.
 pub(super) fn live_faces(replica: &Replica) -> impl Iterator<Item = [u32; 3]> + '_ {
-    replica.corners().iter().copied().filter(|&corners| corners != [0; 3])
+    replica.corners().filter(|&corners| corners != [0; 3])
 }

@@ -217,7 +217,7 @@ impl Generator {
             (None, b) => b.expect("a spoke has a face beside it"),
         };
         let slot = fan.face(younger);
-        let corners = self.replica.corners()[slot.index()];
+        let corners = self.replica.corners_of(slot);
         let at_s = corners.iter().position(|&c| c == s.0).expect("the face is around s");
         let edge = if Some(younger) == after { at_s } else { (at_s + 2) % 3 } as u8;
         match self.maker[slot.owner().index()] {

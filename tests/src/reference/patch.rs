@@ -209,7 +209,7 @@ impl Walk {
 
     fn new_position(&self, tape: &mut Tape<'_>, contexts: &mut Contexts, [a, b, d]: [Point; 3]) -> Point {
         let wide = |p: Point, q: Point| -> [i64; 3] { [0, 1, 2].map(|k| i64::from(q[k]) - i64::from(p[k])) };
-        let (normal, [u, v, h]) = dominant(cross(wide(a, b), wide(a, d)));
+        let (normal, [u, v, h]) = dominant(cross(wide(a, b), wide(a, d)), 30);
         let scale = bit_length((distance(a, b) + distance(b, d) + distance(d, a)) / 3);
         let middle = [0, 1, 2].map(|k| (a[k] + b[k]) >> 1);
         let mut out = middle;

@@ -45,10 +45,10 @@ pub(super) fn cross(a: Vector, b: Vector) -> Vector {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// A normal shifted to 30 bits, and the axes, the one where it is largest last.
-pub(super) fn dominant(normal: Vector) -> (Vector, [usize; 3]) {
+/// A normal shifted to so many bits, and the axes, the one where it is largest last.
+pub(super) fn dominant(normal: Vector, most_bits: u32) -> (Vector, [usize; 3]) {
     let bits = normal.iter().map(|x| 64 - x.unsigned_abs().leading_zeros()).max().unwrap_or(0);
-    let normal = normal.map(|x| x >> bits.saturating_sub(30));
+    let normal = normal.map(|x| x >> bits.saturating_sub(most_bits));
     let h = (0..3).find(|&h| (0..3).all(|k| normal[h].abs() >= normal[k].abs())).expect("one is largest");
     (normal, [[1, 2, 0], [0, 2, 1], [0, 1, 2]][h])
 }
@@ -60,7 +60,11 @@ pub(super) struct Ring {
     is_closed: bool,
     pub(super) origin: [i32; 3],
     spokes: Vec<Vector>,
-    /// Edges of the ring, one for each face.
+    /// How many bits each coordinate of a spoke loses so that the largest has 12.
+    shift: u32,
+    /// Spokes without those.
+    scaled: Vec<Vector>,
+    /// Edges of the ring between scaled spokes, one for each face.
     edges: Vec<Vector>,
     areas: Vec<i64>,
     pub(super) normal: Vector,
@@ -71,16 +75,22 @@ impl Ring {
     pub(super) fn new(replica: &Replica, s: u32, fan: &Fan) -> Self {
         let at = |slot: u32| replica.positions()[slot as usize].map(i64::from);
         let spokes: Vec<Vector> = fan.ring().iter().map(|&slot| minus(at(slot), at(s))).collect();
-        let pairs = (0..fan.faces() as usize).map(|i| (spokes[i], spokes[(i + 1) % spokes.len()]));
+        // -1 takes no bit, since a shift leaves it at -1.
+        let bits = |x: i64| if x < 0 { -x - 1 } else { x }.checked_ilog2().map_or(0, |log| log + 1);
+        let most = spokes.iter().flatten().map(|&x| bits(x)).max().expect("a fan has spokes");
+        let shift = most.max(12) - 12;
+        let scaled: Vec<Vector> = spokes.iter().map(|d| d.map(|x| x.div_euclid(1 << shift))).collect();
+        let pairs = (0..fan.faces() as usize).map(|i| (scaled[i], scaled[(i + 1) % scaled.len()]));
         let crosses: Vec<Vector> = pairs.clone().map(|(a, b)| cross(a, b)).collect();
-        let sixteenths: Vec<Vector> = crosses.iter().map(|c| c.map(|x| x >> 4)).collect();
-        let (normal, axes) = dominant(sum(&sixteenths));
+        let (normal, axes) = dominant(sum(&crosses), 14);
         Self {
             slots: fan.ring().to_vec(),
             s,
             is_closed: fan.is_closed(),
             origin: replica.positions()[s as usize],
             edges: pairs.map(|(a, b)| minus(b, a)).collect(),
+            shift,
+            scaled,
             areas: crosses.iter().map(|c| c[axes[2]].abs()).collect(),
             spokes,
             normal,
@@ -90,7 +100,7 @@ impl Ring {
 
     fn mean_square(vectors: &[Vector]) -> i32 {
         let squares: i64 = vectors.iter().map(|&v| dot(v, v)).sum();
-        lg(squares as u64 / vectors.len() as u64)
+        lg(squares as u64) - lg(vectors.len() as u64)
     }
 
     /// Reads whether two coordinates are multiples of the step, and which: those before the last of the axes.
@@ -136,7 +146,7 @@ impl Ring {
             return self.ranked_cut(tape, contexts);
         }
         if self.is_closed {
-            let low = tape.tree(contexts, &format!("cut/arc/{}", spokes.saturating_sub(12).min(7)), 16);
+            let low = tape.tree(contexts, &format!("cut/long_arc/{}", spokes.saturating_sub(12).min(7)), 16);
             let arc = if low < 15 { low + 1 } else { 16 + tape.uniform(spokes.saturating_sub(16).max(1)) };
             let right = tape.uniform(spokes);
             return Cut::Both { right, left: (right + arc) % spokes };
@@ -151,45 +161,54 @@ impl Ring {
         }
     }
 
-    /// All pairs of spokes from the likeliest on.
+    /// The arc's length, then its starts from the likeliest on.
     fn ranked_cut(&self, tape: &mut Tape<'_>, contexts: &mut Contexts) -> Cut {
-        let count = self.spokes.len();
-        let weights = &TRAINED.cut;
-        let mean = Self::mean_square(&self.spokes);
-        let lengths: Vec<i32> = self.spokes.iter().map(|&v| lg_square(v) - mean).collect();
-        let edges: Vec<i32> = self.edges.iter().map(|&v| lg_square(v) - mean).collect();
-        let total = self.areas.iter().sum::<i64>().max(1);
-        let up_to = |i: usize| self.areas[..i].iter().sum::<i64>() * 256 / total;
-        let share = |i: usize| (up_to(i + 1) - up_to(i)) as i32;
-        let mut pairs = Vec::new();
+        let count = self.scaled.len();
+        // In eighths of an octave, towards the shorter.
+        let against = (Self::mean_square(&self.edges) - Self::mean_square(&self.scaled)).div_euclid(4);
+        let class = (against + 4).clamp(0, 7);
+        let mut longer = |node: usize| tape.bit(contexts, &format!("cut/arc/{}/{class}/{node}", count - 3));
+        let arc = if count > 3 && longer(0) {
+            (3..count - 1).find(|&arc| !longer(arc - 1)).unwrap_or(count - 1)
+        } else if longer(1) {
+            2
+        } else {
+            1
+        };
+        let weights = &TRAINED.cut.arcs[arc];
+        let lengths: Vec<i32> = self.scaled.iter().map(|&v| lg_square(v)).collect();
+        let edges: Vec<i32> = self.edges.iter().map(|&v| lg_square(v)).collect();
+        // Areas keep 16 bits of their sum.
+        let total: i64 = self.areas.iter().sum();
+        let lost = (total.max(1).ilog2() as i64 - 15).max(0);
+        let reciprocal = (1i64 << 31) / (total >> lost).max(1);
+        let mut starts: Vec<(i32, u32)> = Vec::new();
         for right in 0..count {
-            for arc in 1..count {
-                let faces = || (right..right + arc).map(|i| i % count);
-                let left = (right + arc) % count;
-                let area = faces().map(share).sum::<i32>() - 128;
-                let inner: i32 = faces().skip(1).map(|i| lengths[i]).sum();
-                let score = weights.cut_length * (lengths[right] + lengths[left])
-                    + weights.inner_length * inner
-                    + weights.edge_length * faces().map(|i| edges[i]).sum::<i32>()
-                    + weights.area * area
-                    + weights.area_squared * (area * area / 256)
-                    + weights.arcs[count][arc] * 256;
-                pairs.push((score.div_euclid(256), right as u32, left as u32));
-            }
+            let faces = || (right..right + arc).map(|i| i % count);
+            let left = (right + arc) % count;
+            let area: i64 = faces().map(|i| self.areas[i]).sum();
+            let area = (((area >> lost) * reciprocal) >> 23) as i32 - 128;
+            let inner: i32 = faces().skip(1).map(|i| lengths[i]).sum();
+            let score = weights.cut_length * (lengths[right] + lengths[left])
+                + weights.inner_length * inner
+                + weights.edge_length * faces().map(|i| edges[i]).sum::<i32>()
+                + weights.area * area
+                + weights.area_squared * (area * area / 256);
+            starts.push((score.div_euclid(256), right as u32));
         }
-        let best = pairs.iter().map(|pair| pair.0).max().expect("there are pairs");
+        let best = starts.iter().map(|start| start.0).max().expect("there are starts");
         let weight = |score: i32| power((score - best).max(-320));
         // A stable sort: of equals the first comes first.
-        pairs.sort_by_key(|pair| std::cmp::Reverse(weight(pair.0)));
-        for (rank, &(score, right, left)) in pairs.iter().enumerate() {
-            let rest: u64 = pairs[rank + 1..].iter().map(|pair| weight(pair.0)).sum();
+        starts.sort_by_key(|start| std::cmp::Reverse(weight(start.0)));
+        for (rank, &(score, right)) in starts.iter().enumerate() {
+            let rest: u64 = starts[rank + 1..].iter().map(|start| weight(start.0)).sum();
             let odds = ((lg(weight(score)) - lg(rest.max(1))) / 8 + 16).clamp(0, 31);
-            let is_last = rank + 1 == pairs.len();
+            let is_last = rank + 1 == starts.len();
             if is_last || tape.bit(contexts, &format!("cut/is_it/{}/{odds}", rank.min(2))) {
-                return Cut::Both { right, left };
+                return Cut::Both { right, left: (right + arc as u32) % count as u32 };
             }
         }
-        unreachable!("the last pair needs no bit")
+        unreachable!("the last start needs no bit")
     }
 
     /// Colours of `s` and of the two spokes that `cut` opens, or of one and `s` again, come from these slots.
@@ -221,30 +240,32 @@ impl Ring {
         let pick = |test: &dyn Fn(usize) -> bool| -> Vec<Vector> {
             (0..count).filter(|&i| test(i)).map(|i| self.spokes[i]).collect()
         };
-        let mean = |vectors: &[Vector]| match vectors {
-            [] => [0; 3],
-            _ => sum(vectors).map(|x| x * 64 / vectors.len() as i64),
-        };
         let ends = pick(&|i| is_end(i));
         let inner = pick(&|i| arc.contains(&i) && !is_end(i));
         let rest = pick(&|i| !arc.contains(&i));
-        let arc_center = if inner.is_empty() { mean(&ends) } else { mean(&inner) };
-        let centers = [arc_center, mean(&ends), mean(&rest), mean(&self.spokes)];
+        let arc_spokes = if inner.is_empty() { &ends } else { &inner };
+        let parts = [arc_spokes, &ends, &rest, &self.spokes];
         let shape = faces.clamp(1, 6) - 1 + if self.is_closed { 0 } else { 6 };
+        // To the nearest of 1/65536.
+        let reciprocal = |count: usize| if count == 0 { 0 } else { (131_072 / count as i64 + 1) / 2 };
+        let weights: Vec<i64> =
+            parts.iter().zip(TRAINED.position[shape]).map(|(part, w)| i64::from(w) * reciprocal(part.len())).collect();
         let point = std::array::from_fn(|k| {
-            let weighted: i64 = (0..4).map(|i| i64::from(TRAINED.position[shape][i]) * centers[i][k]).sum();
-            self.origin[k] + (weighted + 8192).div_euclid(16384) as i32
+            let weighted: i64 = parts.iter().zip(&weights).map(|(part, weight)| weight * sum(part)[k]).sum();
+            self.origin[k] + (weighted + (1 << 23)).div_euclid(1 << 24) as i32
         });
         let span = match cut {
-            Cut::Both { right, left } => minus(self.spokes[right as usize], self.spokes[left as usize]),
-            _ => sum(&ends),
+            Cut::Both { right, left } => minus(self.scaled[right as usize], self.scaled[left as usize]),
+            Cut::Left { left: spoke } | Cut::Right { right: spoke } => self.scaled[spoke as usize],
         };
-        let above: u64 = self.spokes.iter().map(|&d| dot(d, self.normal).unsigned_abs()).sum();
-        let roughness = 2 * lg(above / count as u64) - lg_square(self.normal);
-        let shortest = self.spokes.iter().map(|&v| lg_square(v)).min().expect("a fan has spokes");
-        let area = lg(self.areas.iter().sum::<i64>() as u64);
-        let spoke = Self::mean_square(&self.spokes);
-        let tail = [lg_square(span), lg_square(arc_center) - 192, Self::mean_square(&self.edges), area];
+        let unscaled = 32 * self.shift as i32;
+        let above: u64 = self.scaled.iter().map(|&d| dot(d, self.normal).unsigned_abs()).sum();
+        let roughness = 2 * (lg(above) - lg(count as u64)) - lg_square(self.normal) + unscaled;
+        let shortest = self.scaled.iter().map(|&v| lg_square(v)).min().expect("a fan has spokes") + unscaled;
+        let area = lg(self.areas.iter().sum::<i64>() as u64) + unscaled;
+        let spoke = Self::mean_square(&self.scaled) + unscaled;
+        let reach = lg_square(sum(arc_spokes)) - 2 * lg(arc_spokes.len() as u64);
+        let tail = [lg_square(span) + unscaled, reach, Self::mean_square(&self.edges) + unscaled, area];
         let size = |weights: &lodestream_protocol::op::SizeWeights, second: i32| {
             let features = [[spoke, second].as_slice(), &tail].concat();
             let weighted: i32 = weights.features.iter().zip(features).map(|(weight, feature)| weight * feature).sum();

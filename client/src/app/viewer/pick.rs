@@ -22,7 +22,7 @@ pub fn first_hit(replica: &Replica, lattice: &Lattice, ray: &Ray, near: f64, pla
     let origin = DVec3::from_array(lattice.to_lattice(ray.origin.to_array()));
     let position = |slot: u32| glam::IVec3::from_array(replica.positions()[slot as usize]).as_dvec3() - origin;
     let mut first: Option<Hit> = None;
-    for corners in replica.corners().iter().filter(|corners| corners[0] != corners[1]) {
+    for corners in replica.corners().filter(|corners| corners[0] != corners[1]) {
         let Some(steps) = crossing(ray.direction, corners.map(position)) else { continue };
         let distance = steps * lattice.step;
         if distance <= near || first.is_some_and(|first| first.distance <= distance) {
@@ -63,7 +63,7 @@ mod tests {
     /// All crossings by planes and half-planes, as one would do by hand.
     fn by_hand(replica: &Replica, lattice: &Lattice, ray: &Ray) -> Option<f64> {
         let point = |slot: u32| DVec3::from_array(lattice.position(replica.positions()[slot as usize]));
-        let faces = replica.corners().iter().filter(|corners| corners[0] != corners[1]);
+        let faces = replica.corners().filter(|corners| corners[0] != corners[1]);
         faces
             .filter_map(|corners| {
                 let [a, b, c] = corners.map(point);

@@ -1,6 +1,6 @@
 //! Walks around a vertex: its fan, and reads that bring fans near.
 
-use super::{ApplyError, Replica, next_in_face, previous};
+use super::{ApplyError, Face, Replica, next_in_face, previous};
 use crate::ids::VertexSlot;
 use crate::mesh::fan::{COMMON_SPOKES, Fan, Walked};
 use crate::mesh::patch::{HalfEdge, NO_HALF_EDGE};
@@ -26,7 +26,7 @@ impl Replica {
         if !self.vertices.contains(slot.0) {
             return Err(ApplyError::NoVertex(slot.0));
         }
-        let start = self.outgoing(self.some_face[slot.index()], slot.0);
+        let start = self.outgoing(self.ops[slot.index()].some_face, slot.0);
         let mut walked = Walked::new();
         let (mut h, mut count) = (start, 0);
         let mut smallest = (u32::MAX, 0);
@@ -35,10 +35,10 @@ impl Replica {
             if h < smallest.0 {
                 smallest = (h, count);
             }
-            // Read on the way: the walk waits for memory, and both reads of a face can wait at once.
-            (walked.out[count], walked.ring[count]) = (h, self.corner[face][AFTER[k]]);
+            let Face { corners, twins } = &self.faces[face];
+            (walked.out[count], walked.ring[count]) = (h, corners[AFTER[k]]);
             count += 1;
-            let next = self.twin[face][BEFORE[k]];
+            let next = twins[BEFORE[k]];
             if next == start {
                 fan.close(&mut walked, count, smallest.1);
                 return Ok(());
@@ -103,20 +103,19 @@ impl Replica {
         if (self.slot_end as usize) < TOUCHED_FROM {
             return;
         }
-        let (corner, twin) = (&self.corner[..], &self.twin[..self.corner.len()]);
         let mut seen = 0;
         for slots in slots.chunks_exact(TOUCHED_AT_ONCE) {
             // Of each walk, the face and the corner of it at which the vertex is.
             let mut walks: [(usize, usize); TOUCHED_AT_ONCE] = std::array::from_fn(|i| {
-                let face = self.some_face.get(slots[i] as usize).map_or(0, |&face| face as usize);
-                let [a, b, _] = corner[face];
+                let face = self.ops.get(slots[i] as usize).map_or(0, |op| op.some_face as usize);
+                let [a, b, _] = self.faces[face].corners;
                 (face, if a == slots[i] { 0 } else { 1 + usize::from(b != slots[i]) })
             });
             for _ in 0..TOUCHED_FACES {
                 for (face, k) in &mut walks {
-                    let ([a, b, c], [ab, bc, ca]) = (corner[*face], twin[*face]);
+                    let Face { corners: [a, b, c], twins: [ab, bc, ca] } = self.faces[*face];
                     let (end, next) = [(b, ca), (c, ab), (a, bc)][*k];
-                    seen ^= self.position[end as usize][0];
+                    seen ^= self.position[end as usize][0] ^ self.ops[*face / 2].references as i32;
                     if next != NO_HALF_EDGE {
                         (*face, *k) = ((next / 4) as usize, (next % 4).min(2) as usize);
                     }

@@ -107,7 +107,7 @@ impl OpState {
             ("vertices", a.vertices().iter().eq(b.vertices().iter())),
             ("positions", a.positions() == b.positions()),
             ("colours", a.colors() == b.colors()),
-            ("corners", a.corners() == b.corners()),
+            ("corners", a.corners().eq(b.corners())),
             ("collapsible ops", a.collapsible().iter().eq(b.collapsible().iter())),
             ("spawned components", a.spawned_ids() == b.spawned_ids()),
             ("caches", self.cache == other.cache),

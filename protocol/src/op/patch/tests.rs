@@ -20,7 +20,7 @@ fn random_patch(seed: u64) -> Patch {
         whole.positions.extend(slots.iter().map(|&s| replica.positions()[s as usize]));
         whole.colors.extend(slots.iter().map(|&s| replica.colors()[s as usize]));
         let number = |slot: u32| offset + slots.binary_search(&slot).unwrap() as u32;
-        whole.faces.extend(replica.corners().iter().filter(|&&c| c != [0; 3]).map(|c| c.map(number)));
+        whole.faces.extend(replica.corners().filter(|&c| c != [0; 3]).map(|c| c.map(number)));
     }
     let mut order: Vec<u32> = (0..whole.positions.len() as u32).collect();
     let mut shuffled = Patch::default();

@@ -1,7 +1,7 @@
 //! Learns the numbers of the op codec (`protocol/src/op/trained`): `train FILE... [--apart]`, best in release.
 //!
 //! Sessions over the meshes and over generated ones give samples. Weights of the predicted position and of the expected sizes
-//! are least squares, the score of cuts is a softmax fitted by gradient descent, the start of each context is how often
+//! are least squares, the scores of cuts are softmaxes fitted by Newton's method, the start of each context is how often
 //! it saw a 0 over all sessions, each counting for at most [`SESSION_SPLITS`] splits. The table is written to standard output;
 //! `protocol/tests/numbers.rs` then writes it as data. With `--apart`, what each mesh costs with numbers learnt without it, and
 //! with even odds, is printed instead.
@@ -14,8 +14,9 @@ use anyhow::Context as _;
 use lodestream_protocol::mesh::Patch;
 use lodestream_protocol::op::training::{CutSample, Sample, Tally};
 use lodestream_protocol::op::{
-    BatchEncoder, BatchTrace, CUT_SHAPES, CutWeights, OpState, SizeWeights, TRAINED, Trained, canonical_order,
-    decode_base_tallied, decode_batch_tallied, encode_base, encode_trace,
+    ArcWeights, BatchEncoder, BatchTrace, CUT_SHAPES, CutWeights, GeometryFeatures, MAX_RANKED_VALENCE, OpState,
+    SizeWeights, TRAINED, Trained, canonical_order, decode_base_tallied, decode_batch_tallied, encode_base,
+    encode_trace,
 };
 use lodestream_protocol::view::UNLIMITED_TRIANGLES;
 use lodestream_server::ingest::read::read_mesh_in_memory;
@@ -151,7 +152,7 @@ impl Session {
             let patch = Patch {
                 positions: slots.iter().map(|&slot| replica.positions()[slot as usize]).collect(),
                 colors: slots.iter().map(|&slot| replica.colors()[slot as usize]).collect(),
-                faces: replica.corners().iter().filter(|c| **c != [0; 3]).map(|c| c.map(rank)).collect(),
+                faces: replica.corners().filter(|c| *c != [0; 3]).map(|c| c.map(rank)).collect(),
             };
             patches.extend(canonical_order(&patch).map(|order| order.apply(&patch)));
         }
@@ -218,7 +219,7 @@ fn train(subjects: &[&Subject]) -> anyhow::Result<Trained> {
     // Where nothing moves `s`, and generated meshes count little: their vertices lie more regularly than those of scans.
     let weighty: Vec<&Session> = sessions.iter().copied().filter(|session| !session.trace.has_moves).collect();
     let mut trained = Trained {
-        cut: fit_cuts(&weighty.iter().copied().filter(|session| session.weight == 1.0).collect::<Vec<_>>()),
+        cut: fit_cuts(&weighty.iter().copied().filter(|session| session.weight == 1.0).collect::<Vec<_>>())?,
         position: fit_position(&weighty)?,
         tangent_size: TRAINED.tangent_size.clone(),
         height_size: TRAINED.height_size.clone(),
@@ -320,6 +321,11 @@ fn fixed<const N: usize>(values: [f64; N]) -> [i32; N] {
     values.map(|x| (x * 256.0).round() as i32)
 }
 
+/// The centres of the ring's parts along an axis.
+fn centers(features: &GeometryFeatures, k: usize) -> [f64; 4] {
+    std::array::from_fn(|i| features.sums[i][k] as f64 / features.counts[i].max(1) as f64)
+}
+
 fn fit_position(sessions: &[&Session]) -> anyhow::Result<[[i32; 4]; CUT_SHAPES]> {
     let mut problems: [LeastSquares<4>; CUT_SHAPES] = std::array::from_fn(|_| LeastSquares::new());
     for session in sessions {
@@ -329,7 +335,7 @@ fn fit_position(sessions: &[&Session]) -> anyhow::Result<[[i32; 4]; CUT_SHAPES]>
             let weight =
                 (-f64::from(features.tangent[0]) / 16.0).exp2() * session.weight / session.samples.len() as f64;
             for k in 0..3 {
-                let row: [f64; 4] = std::array::from_fn(|i| features.centers[i][k] as f64 / 64.0);
+                let row = centers(features, k);
                 problems[features.shape].add(weight, &row, f64::from(t[k] - s[k]));
             }
         }
@@ -349,11 +355,11 @@ fn fit_sizes(sessions: &[&Session], position: &[[i32; 4]; CUT_SHAPES]) -> anyhow
             let features = &sample.geometry;
             let residual: [f64; 3] = std::array::from_fn(|k| {
                 let weights = position[features.shape];
-                let point: f64 = (0..4).map(|i| f64::from(weights[i]) * features.centers[i][k] as f64).sum();
-                f64::from(t[k] - s[k]) - point / 16_384.0
+                let point: f64 = centers(features, k).iter().zip(weights).map(|(x, w)| x * f64::from(w)).sum();
+                f64::from(t[k] - s[k]) - point / 256.0
             });
             let [u, v, h] = sample.axes;
-            let normal = sample.normal.map(|x| x as f64);
+            let normal = sample.normal.map(f64::from);
             let fall =
                 if normal[h] == 0.0 { 0.0 } else { (normal[u] * residual[u] + normal[v] * residual[v]) / normal[h] };
             let octaves = |x: f64| 16.0 * (x + 0.5).log2();
@@ -382,85 +388,83 @@ fn fit_sizes(sessions: &[&Session], position: &[[i32; 4]; CUT_SHAPES]) -> anyhow
     Ok([out.pop().context("two problems")?, height])
 }
 
-/// Weights of the five features, then of each valence and arc length, in bits.
-const CUT_PARAMETERS: usize = 5 + 16 * 16;
-
 fn cut_features(features: &lodestream_protocol::op::CutFeatures) -> [f64; 5] {
     let area = f64::from(features.area) / 256.0;
     let octaves = |x: i32| f64::from(x) / 32.0;
     [octaves(features.cut_length), octaves(features.inner_length), octaves(features.edge_length), area, area * area]
 }
 
-/// A softmax over the pairs of each sample, fitted by Adam in three passes.
-fn fit_cuts(sessions: &[&Session]) -> CutWeights {
-    let mut samples: Vec<&CutSample> =
-        sessions.iter().flat_map(|session| session.samples.iter().filter_map(|sample| sample.0.cut.as_ref())).collect();
-    fastrand::Rng::with_seed(1).shuffle(&mut samples);
-    let mut weights = [0.0; CUT_PARAMETERS];
-    let (mut first, mut second, mut gradient) = ([0.0; CUT_PARAMETERS], [0.0; CUT_PARAMETERS], [0.0; CUT_PARAMETERS]);
-    let mut step = 0;
-    for rate in [0.03, 0.01, 0.003] {
-        for batch in samples.chunks(64) {
-            gradient.fill(0.0);
-            for sample in batch {
-                let arc_weight = |arc: u32| 5 + sample.valence as usize * 16 + arc as usize;
-                let scores: Vec<f64> = sample
-                    .pairs
-                    .iter()
-                    .map(|(arc, features)| {
-                        let linear: f64 = cut_features(features).iter().zip(&weights).map(|(x, w)| x * w).sum();
-                        linear + weights[arc_weight(*arc)]
-                    })
-                    .collect();
-                let best = scores.iter().copied().fold(f64::MIN, f64::max);
-                let total: f64 = scores.iter().map(|score| (score - best).exp2()).sum();
-                for (i, (arc, features)) in sample.pairs.iter().enumerate() {
-                    let chance = (scores[i] - best).exp2() / total;
-                    let pull = (chance - f64::from(u8::from(i == sample.chosen))) / batch.len() as f64;
-                    for (g, x) in gradient.iter_mut().zip(cut_features(features)) {
-                        *g += pull * x;
-                    }
-                    gradient[arc_weight(*arc)] += pull;
-                }
+/// For each arc length a softmax over the starts of each sample, fitted by Newton's method.
+fn fit_cuts(sessions: &[&Session]) -> anyhow::Result<CutWeights> {
+    let samples =
+        || sessions.iter().flat_map(|session| session.samples.iter().filter_map(|sample| sample.0.cut.as_ref()));
+    let mut arcs = [ArcWeights::default(); MAX_RANKED_VALENCE as usize];
+    let mut weights = [0.0; 5];
+    for (arc, out) in arcs.iter_mut().enumerate().skip(1) {
+        let of_arc: Vec<&CutSample> = samples().filter(|sample| sample.arc as usize == arc).collect();
+        // Too few to learn from: those of the arc that is one shorter will do.
+        if of_arc.len() >= FEWEST_CUTS {
+            weights = fit_starts(&of_arc)?;
+        }
+        // Scores are in 1/16 bit, features in 1/32 octave and 1/256.
+        let per_octave = |w: f64| (w * 16.0 / 32.0 * 256.0).round() as i32;
+        let per_share = |w: f64| (w * 16.0 / 256.0 * 256.0).round() as i32;
+        *out = ArcWeights {
+            cut_length: per_octave(weights[0]),
+            inner_length: per_octave(weights[1]),
+            edge_length: per_octave(weights[2]),
+            area: per_share(weights[3]),
+            area_squared: per_share(weights[4]),
+        };
+    }
+    Ok(CutWeights { arcs })
+}
+
+/// Samples of an arc length from which its weights are learnt.
+const FEWEST_CUTS: usize = 300;
+
+/// Weights in bits that make the chosen starts likeliest.
+fn fit_starts(samples: &[&CutSample]) -> anyhow::Result<[f64; 5]> {
+    let mut weights = [0.0; 5];
+    for _ in 0..12 {
+        let mut problem = LeastSquares::<5>::new();
+        for sample in samples {
+            let features: Vec<[f64; 5]> = sample.starts.iter().map(cut_features).collect();
+            let scores: Vec<f64> =
+                features.iter().map(|features| features.iter().zip(&weights).map(|(x, w)| x * w).sum()).collect();
+            let best = scores.iter().copied().fold(f64::MIN, f64::max);
+            let total: f64 = scores.iter().map(|score| (score - best).exp2()).sum();
+            let chances: Vec<f64> = scores.iter().map(|score| (score - best).exp2() / total).collect();
+            let mean: [f64; 5] = std::array::from_fn(|i| features.iter().zip(&chances).map(|(f, c)| f[i] * c).sum());
+            // The curvature of the code length is the features' spread, its slope how far the chosen one is from their mean.
+            for (features, chance) in features.iter().zip(&chances) {
+                problem.add(*chance, &std::array::from_fn(|i| features[i] - mean[i]), 0.0);
             }
-            step += 1;
-            for i in 0..CUT_PARAMETERS {
-                first[i] = 0.9 * first[i] + 0.1 * gradient[i];
-                second[i] = 0.999 * second[i] + 0.001 * gradient[i] * gradient[i];
-                let mean = first[i] / (1.0 - 0.9f64.powi(step));
-                let spread = (second[i] / (1.0 - 0.999f64.powi(step))).sqrt();
-                weights[i] -= rate * mean / (spread + 1e-8);
+            for i in 0..5 {
+                problem.right[i] += (features[sample.chosen][i] - mean[i]) / std::f64::consts::LN_2;
             }
         }
+        for (weight, step) in weights.iter_mut().zip(problem.solve()?) {
+            *weight += step;
+        }
     }
-    // Scores are in 1/16 bit, features in 1/32 octave and 1/256.
-    let per_octave = |w: f64| (w * 16.0 / 32.0 * 256.0).round() as i32;
-    let per_share = |w: f64| (w * 16.0 / 256.0 * 256.0).round() as i32;
-    CutWeights {
-        cut_length: per_octave(weights[0]),
-        inner_length: per_octave(weights[1]),
-        edge_length: per_octave(weights[2]),
-        area: per_share(weights[3]),
-        area_squared: per_share(weights[4]),
-        arcs: std::array::from_fn(|valence| {
-            std::array::from_fn(|arc| (weights[5 + valence * 16 + arc] * 16.0).round() as i32)
-        }),
-    }
+    Ok(weights)
 }
 
 /// The source text of `trained`.
 fn table(trained: &Trained) -> String {
     let mut out = String::from(
-        "//! Written by `cargo run --release -p lodestream-tests --bin train`.\n\nuse super::{CutWeights, SizeWeights, Trained};\n\n\
+        "//! Written by `cargo run --release -p lodestream-measure --bin train`.\n\nuse super::{ArcWeights, CutWeights, SizeWeights, Trained};\n\n\
          /// As trained.\n#[rustfmt::skip]\npub static TRAINED: Trained = Trained {\n    cut: CutWeights {\n",
     );
-    let CutWeights { cut_length, inner_length, edge_length, area, area_squared, arcs } = &trained.cut;
     let mut line = |text: String| writeln!(out, "{text}").expect("a string takes all");
-    line(format!(
-        "        cut_length: {cut_length},\n        inner_length: {inner_length},\n        edge_length: {edge_length},"
-    ));
-    line(format!("        area: {area},\n        area_squared: {area_squared},\n        arcs: ["));
-    arcs.iter().for_each(|arcs| line(format!("            {arcs:?},")));
+    line("        arcs: [".into());
+    for ArcWeights { cut_length, inner_length, edge_length, area, area_squared } in &trained.cut.arcs {
+        line(format!(
+            "            ArcWeights {{ cut_length: {cut_length}, inner_length: {inner_length}, edge_length: {edge_length}, \
+             area: {area}, area_squared: {area_squared} }},"
+        ));
+    }
     line("        ],\n    },\n    position: [".into());
     trained.position.iter().for_each(|weights| line(format!("        {weights:?},")));
     line("    ],".into());

@@ -28,9 +28,9 @@ fn cross(a: Vec3, b: Vec3) -> Vec3 {
 }
 
 /// The normal at no more than 30 bits, and its dominant axis.
-fn shifted(normal: Vec3) -> (Vec3, usize) {
+fn shifted(normal: Vec3, bits: i64) -> (Vec3, usize) {
     let largest = normal.iter().map(|x| x.abs()).max().unwrap();
-    let normal = normal.map(|x| x >> (bit_length(largest.into()) - 30).max(0));
+    let normal = normal.map(|x| x >> (bit_length(largest.into()) - bits).max(0));
     let largest = normal.iter().map(|x| x.abs()).max().unwrap();
     (normal, normal.iter().position(|x| x.abs() == largest).unwrap())
 }

@@ -4,7 +4,7 @@ use super::Fault;
 
 /// The numbers behind `key`, after `section`, of the file, flattened.
 pub(super) fn numbers(section: &str, key: &str) -> Vec<i64> {
-    let text = include_str!("../../../../../../docs/protocol-v5-numbers.json");
+    let text = include_str!("../../../../../../docs/protocol-v6-numbers.json");
     let behind = |text: &'static str, key: &str| text.split_once(&format!("\"{key}\":")).expect("a key").1;
     let mut text = behind(text, section);
     if !key.is_empty() {
@@ -19,7 +19,7 @@ pub(super) fn numbers(section: &str, key: &str) -> Vec<i64> {
     text[..end.unwrap()].split(is_separator).filter(|part| !part.is_empty()).map(|part| part.parse().unwrap()).collect()
 }
 
-pub(super) const PATCH: usize = 6487;
+pub(super) const PATCH: usize = 7447;
 
 /// The coder with all contexts, those of patches behind those of batches.
 #[derive(Clone)]

@@ -139,7 +139,7 @@ impl Reader {
     }
 
     fn across(&mut self, [a, b, d]: [Vec3; 3]) -> Vec3 {
-        let (normal, h) = shifted(cross(sub(b, a), sub(d, a)));
+        let (normal, h) = shifted(cross(sub(b, a), sub(d, a)), 30);
         let scale = bit_length(((distance(a, b) + distance(b, d) + distance(d, a)) / 3).into());
         let middle: Vec3 = std::array::from_fn(|k| (a[k] + b[k]) >> 1);
         let (mut out, mut sum) = ([0; 3], 0);
