@@ -48,6 +48,8 @@ pub(super) fn dress(context: &Context) {
         let text = style.visuals.text_color();
         // Names of figures are weak, not hard to read.
         style.visuals.weak_text_color = Some(text.gamma_multiply(0.85));
+        // The toolkit gives a panel that is a bar the shadow of one without a width: a line beside it.
+        style.visuals.window_shadow = egui::Shadow::NONE;
     });
 }
 
