@@ -14,7 +14,7 @@ use lodestream_client::app::drive::Until;
 use lodestream_client::app::file::{check_folder, write_aside};
 use lodestream_client::app::snapshot::{self, Look, SnapshotOptions};
 use lodestream_client::camera::recording::Recording;
-use lodestream_client::camera::{Detail, Viewport};
+use lodestream_client::camera::{Detail, Viewport, fov_y_of};
 use lodestream_client::load::drops::Drops;
 use lodestream_client::load::duty::Duty;
 use lodestream_client::load::pace::Pace;
@@ -81,7 +81,7 @@ struct SnapshotArgs {
     /// Point looked at in model units
     #[arg(long, value_name = "X,Y,Z", requires = "eye", allow_hyphen_values = true, value_parser = parse_point)]
     target: Option<DVec3>,
-    /// Vertical opening angle in degrees
+    /// Opening angle of the image's narrower side in degrees
     #[arg(long, value_name = "DEG", default_value = "45", value_parser = parse_fov)]
     fov: f32,
     /// Most triangles to hold at any moment, or 'unlimited'
@@ -158,7 +158,7 @@ struct LoadArgs {
     /// Size of the images that are asked for, in pixels
     #[arg(long, value_name = "WxH", default_value = "1920x1080", value_parser = parse_size)]
     size: Viewport,
-    /// Vertical opening angle in degrees
+    /// Opening angle of the image's narrower side in degrees
     #[arg(long, value_name = "DEG", default_value = "45", value_parser = parse_fov)]
     fov: f32,
     /// Most triangles that a client holds at any moment, or 'unlimited'
@@ -251,7 +251,7 @@ fn run_snapshot(args: SnapshotArgs) -> anyhow::Result<()> {
         target: args.url,
         viewport: args.size,
         pose,
-        fov_y_rad: args.fov.to_radians(),
+        fov_y_rad: fov_y_of(args.fov.to_radians(), args.size.aspect()),
         detail: Detail {
             triangle_limit: args.triangles,
             tolerance_px: args.tolerance,
@@ -300,7 +300,7 @@ fn run_load(args: LoadArgs) -> anyhow::Result<()> {
         pace: args.view_rate.unwrap_or(usual_pace),
         duty: args.duty,
         viewport: args.size,
-        fov_y_rad: args.fov.to_radians(),
+        fov_y_rad: fov_y_of(args.fov.to_radians(), args.size.aspect()),
         detail: Detail { triangle_limit: args.triangles, tolerance_px: args.tolerance, ..Detail::default() },
         shape: LinkShape { rate: args.rate, latency: args.latency, loss: args.loss, stalls: args.stall, seed: 0 },
         drops: args.drop,

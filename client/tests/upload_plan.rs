@@ -28,6 +28,14 @@ impl Plain {
     }
 
     fn execute(&mut self, plan: &UploadPlan, replica: &Replica) {
+        for ranges in [&plan.vertices, &plan.face_pairs] {
+            let gap = upload::MERGED_GAP_SLOTS;
+            assert!(ranges.windows(2).all(|w| w[0].end + gap <= w[1].start), "small gaps are merged: {ranges:?}");
+        }
+        self.copy(plan, replica);
+    }
+
+    fn copy(&mut self, plan: &UploadPlan, replica: &Replica) {
         if let Some(capacity) = plan.grow_to {
             assert!(capacity > self.capacity());
             self.vertices.resize(capacity as usize, GpuVertex::zeroed());
@@ -35,8 +43,6 @@ impl Plain {
         }
         for ranges in [&plan.vertices, &plan.face_pairs] {
             assert!(ranges.iter().all(|r| r.start < r.end && r.end <= plan.slot_end), "{ranges:?}");
-            let gap = upload::MERGED_GAP_SLOTS;
-            assert!(ranges.windows(2).all(|w| w[0].end + gap <= w[1].start), "small gaps are merged: {ranges:?}");
         }
         for slots in &plan.vertices {
             for (slot, vertex) in slots.clone().zip(gpu_vertices(replica, slots.clone())) {
@@ -153,6 +159,25 @@ fn uploads_stay_within_the_allowance() {
         // It is used, not just kept.
         assert!(fullest > 100_000 && batches == 300 && images < 150, "{fullest} bytes, {images} images");
     }
+}
+
+#[test]
+fn ops_all_over_a_large_mesh_write_little_between_them() {
+    let mut replica = meshes::icosphere(7).replica(&meshes::lattice());
+    let mut plain = Plain::default();
+    plain.execute(&upload::plan(&mut replica, 0), &replica);
+    let mut rng = OperationRng::new(3);
+    for _ in 0..4000 {
+        rng.random_split(&mut replica);
+    }
+    let wide = planned_bytes(&mut replica).expect("it tracks");
+    let plan = upload::plan(&mut replica, plain.capacity());
+    assert!(wide > 2 * upload::WIDE_BYTES && plan.bytes() <= upload::WIDE_BYTES, "{wide}, then {}", plan.bytes());
+    for ranges in [&plan.vertices, &plan.face_pairs] {
+        assert!(ranges.windows(2).all(|w| w[0].end < w[1].start), "ascending and apart");
+    }
+    plain.copy(&plan, &replica);
+    check_equal(&plain.vertices, &plain.corners, &replica);
 }
 
 #[test]

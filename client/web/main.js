@@ -7,6 +7,8 @@ import { Panel } from './panel.js';
 const [MAIN, PROBE] = [0, 1];
 // A mesh that is about as good as the picture.
 const ENOUGH_TRIANGLES = 10_000;
+// More than the longest recording that can be made.
+const MOST_RECORDING_BYTES = 64 * 2 ** 20;
 const element = (id) => document.getElementById(id);
 const canvas = element('canvas');
 const data = document.body.dataset;
@@ -81,7 +83,7 @@ function fit() {
 function run(module, screen) {
   const now = () => performance.now();
   const hint = Float64Array.from(data.hint ? data.hint.split(',') : [], Number);
-  const page = new module.Page(canvas.width, canvas.height, ratio(), Number(triangles), memoryMib, !isSlow, hint, location.hash, Math.random() * 2 ** 32);
+  const page = new module.Page(canvas.width, canvas.height, ratio(), Number(triangles), memoryMib, !isSlow, Boolean(element('poster')), hint, location.hash, Math.random() * 2 ** 32);
   let device = screen.describe();
   page.attach(screen);
   const sockets = [null, null];
@@ -140,12 +142,26 @@ function run(module, screen) {
   };
 
   const panel = new Panel(element('panel'), send, { play: () => file.click() }, isSmall);
-  const file = Object.assign(document.createElement('input'), { type: 'file', accept: '.jsonl,.json,.txt' });
-  file.onchange = guarded(async () => {
-    page.play(now(), new Uint8Array(await file.files[0].arrayBuffer()));
-    file.value = '';
+  const play = async (recording) => {
+    // A folder cannot be read.
+    const bytes = recording.size <= MOST_RECORDING_BYTES ? await recording.arrayBuffer().catch(() => null) : null;
+    if (!bytes) return notice(`'${recording.name}' cannot be read, or is too large for a recording.`);
+    guarded(() => page.play(now(), new Uint8Array(bytes)))();
     dirtySettings = true;
-    wake();
+    return wake();
+  };
+  const file = Object.assign(document.createElement('input'), { type: 'file', accept: '.jsonl,.json,.txt' });
+  file.onchange = async () => {
+    await play(file.files[0]);
+    // The same file may be chosen again.
+    file.value = '';
+  };
+  // A recording can be dropped anywhere. Whatever else is, the page stays.
+  document.addEventListener('dragover', (event) => event.preventDefault());
+  document.addEventListener('drop', (event) => {
+    event.preventDefault();
+    const [dropped] = event.dataTransfer.files;
+    if (dropped) play(dropped);
   });
 
   const drawMarks = () => {
@@ -193,6 +209,8 @@ function run(module, screen) {
       if (name === 'settled' || page.link() !== home || page.figures(time)[0] >= ENOUGH_TRIANGLES) {
         poster.classList.add('gone');
         poster = null;
+        page.uncover(time);
+        wake();
       }
     }
     if (dirtySettings) {

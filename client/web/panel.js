@@ -63,7 +63,7 @@ export class Panel {
         make('div', { className: 'row' }, make('label', { htmlFor: 'section-share' }, 'Position'), this.share, make('output'))),
       group('Distance', false, this.length, this.points, make('div', { className: 'buttons' }, make('button', { type: 'button', id: 'clear', onclick: () => send('clear', '') }, 'Clear')),
         make('p', {}, 'Choose Measure, then two points. With keys: M, then Enter marks what is in the middle.')),
-      group('Recorder', false, make('div', { className: 'buttons' }, this.record, this.play), make('p', {}, 'A recording can be played here or by lodestream load --path.')),
+      group('Recorder', false, make('div', { className: 'buttons' }, this.record, this.play), make('p', {}, 'Play takes a file, and so does the page: drop it anywhere. lodestream view --play and load --path take it too.')),
       group('Figures', !isSmall, make('dl', {}, ...FIGURES.flatMap((name, k) => [make('dt', {}, name), this.figures[k]]))),
       group('Keys', false, make('p', {}, 'Drag turns, right drag or two fingers move, wheel or pinch zooms, double click goes there.'),
         make('dl', {}, ...[['Turn, move', '← → ↑ ↓, Shift'], ['Zoom', '+ −'], ['Fly', 'W A S D Q E'], ['Views', '1 – 7, H'], ['Whole model', 'F'], ['Parallel', 'O'], ['Measure', 'M, Enter'], ['Fly mode', 'G'], ['Freeze view', 'V'], ['Controls', 'C']].flatMap(([what, keys]) => [make('dt', {}, what), make('dd', {}, make('kbd', {}, keys))]))),

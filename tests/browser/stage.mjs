@@ -1,12 +1,12 @@
 // A server of its own with models of known shape, and a browser without a screen or a graphics card.
 
 import { spawn, spawnSync } from 'node:child_process';
-import { mkdtempSync, mkdirSync, readdirSync, rmSync, writeFileSync } from 'node:fs';
+import { mkdtempSync, mkdirSync, readFileSync, readdirSync, rmSync, writeFileSync } from 'node:fs';
 import { connect, createServer } from 'node:net';
 import { tmpdir } from 'node:os';
 import { performance } from 'node:perf_hooks';
 import { Transform } from 'node:stream';
-import { dirname, join } from 'node:path';
+import { basename, dirname, join } from 'node:path';
 import { fileURLToPath } from 'node:url';
 import { chromium } from 'playwright-core';
 import { decode } from './png.mjs';
@@ -183,17 +183,11 @@ export class Stage {
     await ended;
   }
 
-  // The program without a window draws what a link shows. Returns where the picture is.
+  // The program without a window draws what a link shows, or the whole model. Returns where the picture is.
   snapshot(model, link, [width, height], name) {
-    const { at, from } = parts(link);
-    const target = at.split(',').map(Number);
-    const [yaw, pitch, distance] = from.split(',').map(Number);
-    const [sin, cos] = [Math.sin, Math.cos].map((f) => [yaw, pitch].map((degrees) => f((degrees * Math.PI) / 180)));
-    const away = [sin[0] * cos[1], sin[1], cos[0] * cos[1]];
-    const eye = target.map((x, k) => x + distance * away[k]);
     const output = join(pictures, `${name}.png`);
     const client = process.env.CLIENT_BIN ?? join(built, 'debug', 'lodestream');
-    const args = ['snapshot', this.address(`/models/${model}`), '--size', `${width}x${height}`, '--eye', eye.join(), '--target', target.join(), '--output', output];
+    const args = ['snapshot', this.address(`/models/${model}`), '--size', `${width}x${height}`, ...(link ? pose(link) : []), '--output', output];
     const { status, stderr } = spawnSync(client, args, { encoding: 'utf8' });
     if (status !== 0) throw new Error(`lodestream snapshot failed: ${stderr}`);
     return output;
@@ -257,6 +251,13 @@ export async function saved(page, name) {
   return decode(path);
 }
 
+// A file falls on the page.
+export const drop = (page, path) => page.evaluate(([text, name]) => {
+  const dataTransfer = new DataTransfer();
+  dataTransfer.items.add(new File([text], name));
+  document.querySelector('#canvas').dispatchEvent(new DragEvent('drop', { dataTransfer, bubbles: true, cancelable: true }));
+}, [readFileSync(path, 'utf8'), basename(path)]);
+
 // Waits until the camera has moved away from a link and rests again.
 export async function changed(page, from, what) {
   await page.waitForFunction((from) => window.lodestream.link() !== from, from, { timeout: PATIENCE }).catch((error) => { throw new Error(`${what}: ${error}`); });
@@ -274,6 +275,16 @@ export async function figures(page) {
 export async function marks(page) {
   const numbers = await page.evaluate(() => window.lodestream.marks());
   return Array.from({ length: numbers.length / 6 }, (_, k) => ({ exact: numbers[6 * k + 2] === 1, point: numbers.slice(6 * k + 3, 6 * k + 6) }));
+}
+
+// Flags of the program without a window for what a link shows.
+function pose(link) {
+  const { at, from } = parts(link);
+  const target = at.split(',').map(Number);
+  const [yaw, pitch, distance] = from.split(',').map(Number);
+  const [sin, cos] = [Math.sin, Math.cos].map((f) => [yaw, pitch].map((degrees) => f((degrees * Math.PI) / 180)));
+  const away = [sin[0] * cos[1], sin[1], cos[0] * cos[1]];
+  return ['--eye', target.map((x, k) => x + distance * away[k]).join(), '--target', target.join()];
 }
 
 // What a link says, by key.

@@ -2,7 +2,7 @@ import assert from 'node:assert/strict';
 import { join } from 'node:path';
 import { after, afterEach, before, test } from 'node:test';
 import { CLOSE, decode, difference } from './png.mjs';
-import { Cable, Stage, changed, figures, hasWebgl, marks, parts, pictures, saved, settled, state, PATIENCE } from './stage.mjs';
+import { Cable, Stage, changed, drop, figures, hasWebgl, marks, parts, pictures, saved, settled, state, PATIENCE } from './stage.mjs';
 
 let stage;
 before(async () => { stage = await Stage.open(); });
@@ -240,12 +240,20 @@ test('a picture is saved, a recording is made and played', async () => {
   const path = join(pictures, 'path.jsonl');
   await file.saveAs(path);
   await key(page, '1');
-  await changed(page, there, 'front');
+  const front = await changed(page, there, 'front');
   const [chooser] = await Promise.all([page.waitForEvent('filechooser'), page.click('#play')]);
   await chooser.setFiles(path);
   await page.waitForFunction(() => /play=on/.test(window.lodestream.settings()), null, { timeout: PATIENCE });
   await page.waitForFunction(() => /play=off/.test(window.lodestream.settings()), null, { timeout: PATIENCE });
   assert.equal(parts(await settled(page)).from.split(',')[0], parts(there).from.split(',')[0]);
+  // The same by dropping the file on the page.
+  await key(page, '1');
+  await page.waitForFunction((link) => window.lodestream.link() === link, front, { timeout: PATIENCE });
+  await drop(page, path);
+  await page.waitForFunction((link) => window.lodestream.link() === link, there, { timeout: PATIENCE });
+  await drop(page, join(pictures, 'saved.png'));
+  await page.waitForSelector('#notice:not([hidden])', { timeout: PATIENCE });
+  assert.match(await page.textContent('#notice'), /cannot be played/);
   assert.deepEqual(page.faults, []);
 });
 
@@ -343,6 +351,14 @@ test('a page shows what the program without a window draws', async () => {
     const { mean, most, far } = difference(await saved(page, `page-${name}`), native);
     assert.ok(native.rgb.some((byte) => byte > 150), 'something is to be seen');
     assert.ok(mean <= CLOSE.mean && far <= CLOSE.far, `${name}: mean ${mean}, largest ${most}, ${100 * far} % of pixels by more than 8`);
+    await page.context().close();
+  }
+  // Both frame the whole model alike, in images of any shape.
+  for (const [width, height] of [[390, 600], [640, 300]]) {
+    const page = await stage.page('/models/scan#gradient=off&occlusion=off&morph=off', { viewport: { width, height } });
+    await settled(page);
+    const { mean, most, far } = difference(await saved(page, `page-${width}x${height}`), decode(stage.snapshot('scan', null, [width, height], `native-${width}x${height}`)));
+    assert.ok(mean <= CLOSE.mean && far <= CLOSE.far, `${width}x${height}: mean ${mean}, largest ${most}, ${100 * far} % of pixels by more than 8`);
     await page.context().close();
   }
 });

@@ -85,7 +85,7 @@ fn wire(number: u32) -> Wire {
 
 #[wasm_bindgen]
 impl Page {
-    /// A viewer without a screen; `spend` says that the machine need not be spared. `hint` is centre, radius and smallest limit of the model, or empty.
+    /// A viewer without a screen; `spend` says that the machine need not be spared, `covered` that a picture lies over the canvas. `hint` is centre, radius and smallest limit of the model, or empty.
     #[allow(clippy::too_many_arguments, reason = "numbers cross the border one by one")]
     #[wasm_bindgen(constructor)]
     pub fn new(
@@ -95,6 +95,7 @@ impl Page {
         auto_triangles: u32,
         auto_memory_mib: u32,
         spend: bool,
+        covered: bool,
         hint: &[f64],
         link: &str,
         seed: u32,
@@ -110,6 +111,7 @@ impl Page {
             auto_triangles,
             auto_memory_mib,
             spend,
+            is_covered: covered,
             hint,
             link: link.into(),
             seed: seed.into(),
@@ -254,6 +256,11 @@ impl Page {
             return Ok(50.0);
         }
         Ok(wake.since(now).as_secs_f64() * 1e3)
+    }
+
+    /// The picture over the canvas goes.
+    pub fn uncover(&mut self, now_ms: f64) {
+        self.viewer.uncover(at(now_ms));
     }
 
     /// Draws the picture again even if nothing changed, for a screenshot within this task.

@@ -10,7 +10,7 @@ use wgpu::{BindGroup, BindGroupLayout, Buffer, BufferUsages, CommandEncoder, Dev
 use super::buffers::MeshBuffers;
 use super::morph::{GpuMorph, Morphs};
 use super::pipeline::{MORPH_SHADER, bind, compute_layout, dispatch, shader};
-use super::upload::{MERGED_GAP_SLOTS, VERTEX_BYTES};
+use super::upload::{VERTEX_BYTES, WIDE_STATE_BYTES, narrowed};
 
 const STATE_BYTES: u64 = size_of::<GpuMorph>() as u64;
 
@@ -83,7 +83,12 @@ impl MorphBuffers {
     /// Writes the states of these slots (ascending) and returns how many bytes that took.
     pub(super) fn write(&self, queue: &Queue, morphs: &Morphs, slots: &[u32]) -> u64 {
         let mut bytes = 0;
-        for range in merged(slots, morphs.len()) {
+        let ranges = narrowed(WIDE_STATE_BYTES, |gap| {
+            let ranges = merged(slots, morphs.len(), gap);
+            let bytes = ranges.iter().map(|range| u64::from(range.end - range.start) * STATE_BYTES).sum();
+            (ranges, bytes)
+        });
+        for range in ranges {
             let states: Vec<GpuMorph> = range.clone().map(|slot| morphs.state(slot)).collect();
             let data: &[u8] = bytemuck::cast_slice(&states);
             queue.write_buffer(&self.states, u64::from(range.start) * STATE_BYTES, data);
@@ -111,12 +116,12 @@ impl MorphBuffers {
     }
 }
 
-/// Slots as intervals, with small gaps closed: a write costs more than the states in a gap.
-fn merged(slots: &[u32], end: u32) -> Vec<Range<u32>> {
+/// Slots as intervals, with gaps of fewer than `gap` slots closed: a write costs more than the states in one.
+fn merged(slots: &[u32], end: u32, gap: u32) -> Vec<Range<u32>> {
     let mut ranges: Vec<Range<u32>> = Vec::new();
     for &slot in slots.iter().filter(|&&slot| slot < end) {
         match ranges.last_mut() {
-            Some(last) if slot - last.end < MERGED_GAP_SLOTS => last.end = slot + 1,
+            Some(last) if slot - last.end < gap => last.end = slot + 1,
             _ => ranges.push(slot..slot + 1),
         }
     }

@@ -14,6 +14,14 @@ use super::morph::GpuMorph;
 /// Intervals with fewer untouched slots than this between them are written as one: a copy of 64 vertices costs less than
 /// another copy command.
 pub const MERGED_GAP_SLOTS: u32 = 64;
+/// From so many bytes on, fewer gaps are closed: what an image uploads is bounded, commands only take time. Ops all over a large mesh would
+/// otherwise write several times what they touch. Together with [as many of states](WIDE_STATE_BYTES) and [of
+/// ghosts](super::ghosts::MOST_GHOST_BYTES) it is less than what viewers allow for an image.
+pub const WIDE_BYTES: u64 = 1 << 20;
+/// The same for states of transitions.
+pub const WIDE_STATE_BYTES: u64 = 1 << 17;
+/// Widths of gaps that are closed, tried in this order.
+const GAPS: [u32; 3] = [MERGED_GAP_SLOTS, 8, 1];
 
 /// Smallest capacity, so that the first few ops do not grow the buffers one after the other.
 const SMALLEST_CAPACITY_SLOTS: u32 = 1024;
@@ -68,7 +76,11 @@ pub fn plan(replica: &mut Replica, capacity_slots: u32) -> UploadPlan {
     }
     let slot_end = replica.slot_end();
     let dirty = replica.dirty_mut().expect("tracking is on");
-    let (vertices, face_pairs) = intervals(dirty);
+    let (vertices, face_pairs) = narrowed(WIDE_BYTES, |gap| {
+        let (vertices, face_pairs) = intervals(dirty, gap);
+        let bytes = bytes(&vertices, &face_pairs);
+        ((vertices, face_pairs), bytes)
+    });
     dirty.clear();
     UploadPlan {
         grow_to: (slot_end > capacity_slots).then(|| grown(capacity_slots, slot_end)),
@@ -80,16 +92,29 @@ pub fn plan(replica: &mut Replica, capacity_slots: u32) -> UploadPlan {
 
 /// Most bytes that an image of the replica as it is now would upload, without [ghosts](super::ghosts::MOST_GHOST_BYTES): what [`plan`] would
 /// write, and the state of a transition for each vertex. `None` for a replica that does not track yet, which is uploaded whole.
-/// Costs as much as planning.
+/// Costs as much as planning. Where it is more than [`WIDE_BYTES`], less may be written.
 pub fn planned_bytes(replica: &mut Replica) -> Option<u64> {
-    let (vertices, face_pairs) = intervals(replica.dirty_mut()?);
+    let (vertices, face_pairs) = intervals(replica.dirty_mut()?, MERGED_GAP_SLOTS);
     let touched: u64 = vertices.iter().map(|r| u64::from(r.end - r.start)).sum();
     Some(bytes(&vertices, &face_pairs) + touched * size_of::<GpuMorph>() as u64)
 }
 
-/// Vertex slots and pairs of face slots to write.
-fn intervals(dirty: &mut DirtySlots) -> (Vec<Range<u32>>, Vec<Range<u32>>) {
-    let gap = MERGED_GAP_SLOTS - 1;
+/// What `plan` gives for the widest gap that keeps it within so many bytes, else for the narrowest. `plan` is told a gap and says what it comes to.
+pub(super) fn narrowed<Plan>(most_bytes: u64, mut plan: impl FnMut(u32) -> (Plan, u64)) -> Plan {
+    let [widest, narrower @ ..] = GAPS;
+    let (mut chosen, mut bytes) = plan(widest);
+    for gap in narrower {
+        if bytes <= most_bytes {
+            break;
+        }
+        (chosen, bytes) = plan(gap);
+    }
+    chosen
+}
+
+/// Vertex slots and pairs of face slots to write, in intervals that are at least `gap` slots apart.
+fn intervals(dirty: &mut DirtySlots, gap: u32) -> (Vec<Range<u32>>, Vec<Range<u32>>) {
+    let gap = gap - 1;
     let vertices = dirty.vertex_ranges(gap);
     let faces = dirty.face_ranges(2 * gap);
     // A slot that is taken anew may have only one face. The other face slot has not changed for the replica, but buffers

@@ -37,8 +37,10 @@ pub(super) fn build(modules: Modules) -> Result<()> {
 
 /// Builds the decoder of recorded sessions as the viewer is built and returns where the module is.
 pub(super) fn decoder() -> Result<String> {
-    wasm_cargo("build", &["-p", "lodestream-wasm-decoder", "--profile", "browser"])?;
-    let module = target_dir().join("browser/wasm32-unknown-unknown/browser/lodestream_wasm_decoder.wasm");
+    // Where it finds most of what it needs.
+    let folder = target_dir().join("browser/webgpu");
+    wasm_cargo("build", &folder, &["-p", "lodestream-wasm-decoder", "--profile", "browser"])?;
+    let module = folder.join("wasm32-unknown-unknown/browser/lodestream_wasm_decoder.wasm");
     Ok(module.to_str().context("the path of the project is not UTF-8")?.to_owned())
 }
 
@@ -88,12 +90,12 @@ pub(super) fn measure(arguments: &[String]) -> Result<()> {
     if status.success() { Ok(()) } else { bail!("the measurement failed ({status})") }
 }
 
-/// Builds the client with these features and returns where the module is, under a name that the next build leaves alone.
+/// Builds the client with these features, in a folder of this name, and returns where the module is. In one folder, a module of other features would
+/// take its place, as modules have no hash in their names, and each build would begin anew.
 fn module(features: &str, name: &str) -> Result<String> {
     let what = ["-p", "lodestream-client", "--lib", "--crate-type", "cdylib", "--profile", "browser"];
-    wasm_cargo("rustc", &[&what[..], &["--no-default-features", "--features", features]].concat())?;
-    let built = target_dir().join("browser/wasm32-unknown-unknown/browser/lodestream_client.wasm");
-    let path = built.with_file_name(format!("{name}.wasm"));
-    std::fs::copy(&built, &path).with_context(|| format!("cannot copy '{}'", built.display()))?;
-    Ok(path.to_str().context("the path of the project is not UTF-8")?.to_owned())
+    let folder = target_dir().join("browser").join(name);
+    wasm_cargo("rustc", &folder, &[&what[..], &["--no-default-features", "--features", features]].concat())?;
+    let built = folder.join("wasm32-unknown-unknown/browser/lodestream_client.wasm");
+    Ok(built.to_str().context("the path of the project is not UTF-8")?.to_owned())
 }

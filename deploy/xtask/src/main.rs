@@ -204,9 +204,9 @@ fn built(name: &str, args: &[&str]) -> Result<()> {
     run(program.to_str().context("the path of the project is not UTF-8")?, args, &[])
 }
 
-fn wasm_cargo(command: &str, arguments: &[&str]) -> Result<()> {
-    let target = target_dir().join("browser");
-    let target = target.to_str().context("the path of the project is not UTF-8")?;
+/// Runs cargo for browsers, building in `folder`.
+fn wasm_cargo(command: &str, folder: &Path, arguments: &[&str]) -> Result<()> {
+    let target = folder.to_str().context("the path of the project is not UTF-8")?;
     let common = [command, "--target", "wasm32-unknown-unknown", "--target-dir", target];
     if rustup_wasm_sysroot() {
         return run("cargo", &[&common[..], arguments].concat(), &[]);

@@ -11,6 +11,7 @@
 //! good. All of that is the session's ([`crate::core`]); [`line`] adds what a person is told and what is not worth a try.
 
 pub mod command;
+mod cover;
 pub mod figures;
 pub mod governor;
 mod input;
@@ -43,6 +44,7 @@ use crate::render::ghosts::MOST_GHOST_BYTES;
 use crate::render::upload::Allowance;
 use crate::render::{DrawStats, RenderCamera, RenderOptions};
 use command::{Command, Event, Tool};
+use cover::Cover;
 use figures::{Figures, Meter};
 use governor::{AUTO_IMAGES_PER_S, Governor};
 pub use line::Ending;
@@ -104,6 +106,8 @@ pub struct ViewerOptions {
     pub upload_allowance: u64,
     /// Whether the machine draws fast enough that automatic shading need not spare it.
     pub spend: bool,
+    /// Whether something lies over the image until [`Viewer::uncover`]: the picture of a page.
+    pub is_covered: bool,
     /// The model, if something is known of it.
     pub hint: Option<Hint>,
     /// Fragment of a link.
@@ -122,6 +126,7 @@ impl ViewerOptions {
             auto_memory_mib: 1024,
             upload_allowance: 2 << 20,
             spend: true,
+            is_covered: false,
             hint: None,
             link: String::new(),
             seed: 1,
@@ -188,6 +193,7 @@ pub struct Viewer {
     ops_since_image: u32,
     /// The next image uploads the mesh whole.
     is_whole: bool,
+    cover: Cover,
     last_image: Option<Timestamp>,
     /// Which of the session's meshes the last image showed.
     drawn_generation: Option<u32>,
@@ -229,6 +235,7 @@ impl Viewer {
             needs_image: true,
             ops_since_image: 0,
             is_whole: false,
+            cover: if options.is_covered { Cover::On } else { Cover::Off },
             last_image: None,
             drawn_generation: None,
             memory_of_program: None,
@@ -351,6 +358,7 @@ impl Viewer {
             let section = self.clip_planes().first().copied();
             let mut options =
                 self.settings.render_options(model.has_colors, model.crease_angle_deg, section, self.options.spend);
+            options.occlusion *= self.cover.crevices(now);
             options.geomorph = self.settings.morph.fixed().unwrap_or(true).then_some(now.0);
             options
         };
@@ -369,8 +377,8 @@ impl Viewer {
 
     /// The scene was drawn.
     pub fn note_drawn(&mut self, now: Timestamp, stats: &DrawStats) {
-        // Vertices on their way go on in the next image.
-        self.needs_image = stats.is_moving;
+        // Vertices on their way go on in the next image, and so do crevices that grow dark.
+        self.needs_image = stats.is_moving || (self.cover.is_going(now) && stats.has_occlusion);
         self.last_image = Some(now);
         self.images.add(now, 1.0);
         let triangles = self.replica().map_or(0, Replica::triangle_count);
@@ -384,6 +392,14 @@ impl Viewer {
         let wanted = self.settings.images_per_s.fixed().unwrap_or(AUTO_IMAGES_PER_S);
         let in_motion = self.is_moving();
         self.governor.note_image(now, in_motion, triangles, wanted);
+    }
+
+    /// What lay over the image goes.
+    pub fn uncover(&mut self, now: Timestamp) {
+        if self.cover == Cover::On {
+            self.cover = Cover::Going(now);
+            self.needs_image = true;
+        }
     }
 
     /// Draw again although nothing changed: the picture was lost.

@@ -236,6 +236,48 @@ fn a_batch_over_the_allowance_has_an_image_to_itself() {
 }
 
 #[test]
+fn crevices_grow_dark_once_nothing_lies_over_the_image() {
+    // The model has colours, with which they are off by themselves.
+    let options = ViewerOptions { is_covered: true, link: "occlusion=on".into(), ..ViewerOptions::new(VIEWPORT) };
+    let mut viewer = Viewer::new(options);
+    viewer.tick(at(0));
+    refine(&mut viewer, 100, 5);
+    let drawn = |viewer: &mut Viewer, ms: u64| {
+        let scene = viewer.scene(at(ms)).expect("there is a mesh");
+        scene.replica.dirty_mut().expect("it tracks").clear();
+        let occlusion = scene.options.occlusion;
+        viewer.note_drawn(at(ms), &DrawStats { has_occlusion: occlusion > 0.0, ..DrawStats::default() });
+        occlusion
+    };
+    let hidden = drawn(&mut viewer, 300);
+    assert!(hidden > 0.0 && hidden < 1.0 / 255.0, "{hidden}: what draws them is there, and is not to be seen");
+    assert!(!viewer.tick(at(400)).draw, "nothing changes");
+    viewer.uncover(at(500));
+    let mut before = hidden;
+    for ms in (516..1100).step_by(16) {
+        assert!(viewer.tick(at(ms)).draw);
+        let next = drawn(&mut viewer, ms);
+        assert!(next >= before && next - before < 0.05, "{before}, then {next}");
+        before = next;
+    }
+    assert!(viewer.tick(at(1100)).draw);
+    let whole = drawn(&mut viewer, 1100);
+    assert!(!viewer.tick(at(1200)).draw, "it is over");
+    viewer.uncover(at(1300));
+    assert!(!viewer.tick(at(1300)).draw, "only once");
+    assert_eq!(viewer.settings().render_options(true, 45.0, None, true).occlusion, whole);
+    // Where there are none, nothing is drawn for them.
+    let mut viewer = Viewer::new(ViewerOptions { is_covered: true, ..ViewerOptions::new(VIEWPORT) });
+    viewer.tick(at(0));
+    refine(&mut viewer, 100, 5);
+    assert_eq!(drawn(&mut viewer, 300), 0.0);
+    viewer.uncover(at(500));
+    assert!(viewer.tick(at(501)).draw);
+    drawn(&mut viewer, 501);
+    assert!(!viewer.tick(at(516)).draw);
+}
+
+#[test]
 fn limits_follow_settings_memory_and_the_model() {
     let (mut viewer, _) = settled();
     let mut limit = |key: &str, value: &str| {

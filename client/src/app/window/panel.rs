@@ -14,6 +14,8 @@ use crate::render::Shading;
 
 /// Width of the panel in points: a slider with its name, its value and its box.
 const WIDTH: f32 = 350.0;
+/// Up to this width in points a window opens with the panel as a bar: more of it would lie on the model. The same in the page.
+const NARROW: f32 = 1000.0;
 
 /// What a person asks of the window itself.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,6 +48,8 @@ pub(super) fn dress(context: &Context) {
         let text = style.visuals.text_color();
         // Names of figures are weak, not hard to read.
         style.visuals.weak_text_color = Some(text.gamma_multiply(0.85));
+        // The toolkit gives a panel that is a bar the shadow of one without a width: a line beside it.
+        style.visuals.window_shadow = egui::Shadow::NONE;
     });
 }
 
@@ -59,7 +63,13 @@ pub(super) fn show(
 ) {
     let figures = viewer.figures(now);
     let settings = *viewer.settings();
-    egui::Window::new(surroundings.model).anchor(Align2::LEFT_TOP, [12.0, 12.0]).auto_sized().show(context, |ui| {
+    let window = egui::Window::new(title(surroundings.model, viewer.state()))
+        // The title changes, the panel stays the same.
+        .id(egui::Id::unique("panel"))
+        .anchor(Align2::LEFT_TOP, [12.0, 12.0])
+        .default_open(context.content_rect().width() > NARROW)
+        .auto_sized();
+    window.show(context, |ui| {
         // What is as wide as there is room would cover the picture.
         ui.set_width(WIDTH.min(context.content_rect().width() - 40.0));
         // As high as what is open, but not beyond the window.
@@ -82,6 +92,15 @@ pub(super) fn show(
         egui::Area::new(egui::Id::unique("notice")).anchor(Align2::CENTER_BOTTOM, [0.0, -16.0]).show(context, |ui| {
             egui::Frame::popup(ui.style()).show(ui, |ui| ui.label(notice));
         });
+    }
+}
+
+/// What can be read where the panel is a bar too.
+fn title(model: &str, state: &State) -> String {
+    match state {
+        State::Settled { .. } => model.to_owned(),
+        State::Refining { percent } => format!("{model}, {percent} %"),
+        _ => format!("{model}, {}", state.name()),
     }
 }
 
