@@ -227,8 +227,8 @@ impl Block {
     fn measure(&mut self, shift: u32, next: [i32; 3], in_ring: usize, gap: Option<usize>, sums: &mut Sums) {
         let (mut a, mut b) = ([[0; LANES]; 3], [[0; LANES]; 3]);
         for k in 0..3 {
-            for i in 0..LANES {
-                a[k][i] = self.spokes[k][i] >> shift;
+            for (scaled, spoke) in a[k].iter_mut().zip(&self.spokes[k]) {
+                *scaled = spoke >> shift;
             }
             b[k][..LANES - 1].copy_from_slice(&a[k][1..]);
             b[k][LANES - 1] = next[k] >> shift;
@@ -266,10 +266,7 @@ impl Block {
         for (sum, lanes) in sums.normal.iter_mut().zip([nx, ny, nz]) {
             *sum += i64::from(lanes);
         }
-        let mut shortest = i32::MAX;
-        for i in 0..LANES {
-            shortest = shortest.min(squares[i]);
-        }
+        let shortest = squares.iter().fold(i32::MAX, |shortest, &square| shortest.min(square));
         let stand_ins = (LANES - in_ring) as i32;
         // The first spoke stands in, and it is behind the last face that is one.
         sums.shortest = sums.shortest.min(shortest);
