@@ -61,9 +61,14 @@ pub(super) struct Aim {
 }
 
 impl Goal {
-    pub(super) fn heap_bytes(&self) -> usize {
+    pub(super) fn front_bytes(&self) -> usize {
+        self.front.heap_bytes()
+    }
+
+    /// Memory of what waits and of what is stale.
+    pub(super) fn list_bytes(&self) -> usize {
         let stale = self.stale.slots.heap_bytes() + self.stale.reluctant.heap_bytes();
-        self.front.heap_bytes() + self.waiting.capacity() * 4 + stale
+        self.waiting.capacity() * 4 + stale
     }
 
     /// What is to go, as of the last view; less by now.

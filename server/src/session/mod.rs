@@ -200,6 +200,48 @@ pub struct SessionStats {
     pub activity: Activity,
 }
 
+/// Bytes that the parts of a session hold.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SessionMemory {
+    /// The mirror of the client's mesh.
+    pub mesh: usize,
+    /// The mirrored op cache.
+    pub cache: usize,
+    /// Contexts of the coder, the same for any mesh.
+    pub coder: usize,
+    /// Which op is in which slot.
+    pub slots: usize,
+    /// What selection keeps from view to view.
+    pub front: usize,
+    /// Ops that wait to be sent and slots that are to go.
+    pub lists: usize,
+    /// What is kept of a mirror at rest.
+    pub resting: usize,
+    /// Batches that may have to be sent again.
+    pub unacknowledged: usize,
+}
+
+impl SessionMemory {
+    /// The parts by name.
+    pub fn parts(&self) -> [(&'static str, usize); 8] {
+        [
+            ("mesh", self.mesh),
+            ("cache", self.cache),
+            ("coder", self.coder),
+            ("slots", self.slots),
+            ("front", self.front),
+            ("lists", self.lists),
+            ("resting", self.resting),
+            ("unacknowledged", self.unacknowledged),
+        ]
+    }
+
+    /// All of them.
+    pub fn total(&self) -> usize {
+        self.parts().iter().map(|part| part.1).sum()
+    }
+}
+
 /// Pages that a session needs.
 #[derive(Clone, Debug)]
 pub struct WantedPages {
@@ -548,6 +590,11 @@ impl Session {
         SessionStats { heap_bytes: held as u64, activity, is_confirmed, ..self.stats }
     }
 
+    /// What holds the memory of [`SessionStats::heap_bytes`].
+    pub fn memory(&self) -> SessionMemory {
+        self.running.as_ref().map(Running::memory).unwrap_or_default()
+    }
+
     /// The mirror of the client's mesh, once the client has said hello and while the session does not rest.
     pub fn mirror(&self) -> Option<&Replica> {
         self.running.as_ref()?.mirror.as_ref().map(Mirror::replica)
@@ -616,11 +663,23 @@ impl Session {
 }
 
 impl Running {
+    fn memory(&self) -> SessionMemory {
+        let mirror = self.mirror.as_ref();
+        let of_mirror = |bytes: fn(&Mirror) -> usize| mirror.map_or(0, bytes);
+        SessionMemory {
+            mesh: of_mirror(|mirror| mirror.replica().heap_bytes()),
+            cache: of_mirror(|mirror| mirror.state.cache().heap_bytes()),
+            coder: of_mirror(Mirror::coder_bytes),
+            slots: of_mirror(Mirror::slot_bytes),
+            front: self.goal.front_bytes(),
+            lists: self.goal.list_bytes() + self.work.as_ref().map_or(0, |work| work.pending.capacity() * 4),
+            resting: self.resting.as_ref().map_or(0, |resting| resting.heap_bytes()),
+            unacknowledged: self.unacknowledged.heap_bytes(),
+        }
+    }
+
     fn heap_bytes(&self) -> usize {
-        let work = self.work.as_ref().map_or(0, |work| work.pending.capacity() * 4);
-        let mirror = self.mirror.as_ref().map_or(0, Mirror::heap_bytes);
-        let resting = self.resting.as_ref().map_or(0, |resting| resting.heap_bytes());
-        mirror + self.goal.heap_bytes() + resting + work + self.unacknowledged.heap_bytes()
+        self.memory().total()
     }
 
     fn activity(&self) -> Activity {
