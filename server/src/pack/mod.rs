@@ -20,6 +20,7 @@ mod spawns;
 #[cfg(any(test, feature = "testing"))]
 pub mod testing;
 mod thumbnail;
+mod touch;
 mod verify;
 mod write;
 

@@ -340,6 +340,11 @@ impl PackedModel {
         of_spawns.chain(of_splits).map(PageId::Ops).chain(patches.map(PageId::Patches))
     }
 
+    /// Whether all pages [are ready](Self::is_ready).
+    pub(crate) fn is_all_ready(&self) -> bool {
+        self.ready_pages() == self.op_pages.count() + self.spawn_pages.count()
+    }
+
     /// Pages that [are ready](Self::is_ready).
     pub fn ready_pages(&self) -> u32 {
         self.op_pages.checked_count() + self.spawn_pages.checked_count()
@@ -353,6 +358,18 @@ impl PackedModel {
         }
         let page = op >> PAGE_SHIFT;
         Ok((self.op_page(page)?, (op - (page << PAGE_SHIFT)) as usize))
+    }
+
+    /// The same if the page is ready.
+    #[inline(always)]
+    pub(super) fn ready_row(&self, op: u32) -> Option<(PageView<'_>, usize)> {
+        if op >= self.context.ops {
+            return None;
+        }
+        let page = op >> PAGE_SHIFT;
+        let bytes = self.op_pages.warm(self.file(), page)?;
+        let (_, ops, spawns) = self.context.rows(page);
+        Some((PageView { bytes, ops, spawns }, (op - (page << PAGE_SHIFT)) as usize))
     }
 
     #[inline(always)]

@@ -12,7 +12,7 @@ use super::front::{Effort, Front, give_back};
 use super::mirror::Mirror;
 use super::order::sending_order;
 use super::score::Scorer;
-use super::select::{PageAccess, select};
+use super::select::{PageAccess, asks_for_all, select};
 use crate::pack::{PackError, PackedModel, PageId};
 
 /// Views after which what a stale op matters has been judged again. It only decides what lingers until the view has rested, and a moving view
@@ -179,6 +179,19 @@ impl Goal {
         scorer: &Scorer,
     ) -> Result<Aim, PackError> {
         self.is_known = false;
+        if asks_for_all(model, access, view) {
+            self.stale = Stale::default();
+            let waiting: Vec<u32> = (0..model.op_count()).filter(|&op| !mirror.is_applied(op)).collect();
+            return Ok(Aim {
+                pending: sending_order(model, scorer, &waiting)?,
+                lambda: scorer.threshold(),
+                error: Some(0.0),
+                is_limited: false,
+                tested: 0,
+                missing: Vec::new(),
+                is_rough: false,
+            });
+        }
         let selection = select(model, scorer, view.triangle_limit, access)?;
         let waiting: Vec<u32> = selection.ops.iter().copied().filter(|&op| !mirror.is_applied(op)).collect();
         self.stale = Stale::of(mirror, |op| selection.set.contains(&op));

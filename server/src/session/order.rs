@@ -11,6 +11,11 @@ use crate::mesh::morton::morton;
 use crate::pack::record::NO_OP;
 use crate::pack::{PackError, PackedModel};
 
+/// Share of a model's ops from which on a bit for each of them is less than a set of those that are meant.
+const BITS_FROM: u32 = 64;
+/// Ops that are read together.
+const READ_AT_ONCE: usize = 64;
+
 /// The ops in the order in which they are sent, parents before children. `ops` have no parents that are not applied but among
 /// themselves. O(n log n) for n ops.
 ///
@@ -18,18 +23,21 @@ use crate::pack::{PackError, PackedModel};
 /// [`PackError`] if a page is damaged.
 pub(super) fn sending_order(model: &PackedModel, scorer: &Scorer, ops: &[u32]) -> Result<Vec<u32>, PackError> {
     let mut ranked: Vec<(u32, u64, u32)> = Vec::with_capacity(ops.len());
-    for &op in ops {
-        let bounds = model.bounds(op)?;
-        let priority = scorer.priority(&bounds);
-        // Components arrive by their size: they are named by number in any case.
-        let place = match op < model.spawn_count() {
-            true => u64::from(!priority.to_bits()),
-            false => 1 << 63 | morton(bounds.center, model.info().lattice.max_coordinate()),
-        };
-        ranked.push((!band(priority), place, op));
+    for ops in ops.chunks(READ_AT_ONCE) {
+        model.touch_bounds(ops);
+        for &op in ops {
+            let bounds = model.bounds(op)?;
+            let priority = scorer.priority(&bounds);
+            // Components arrive by their size: they are named by number in any case.
+            let place = match op < model.spawn_count() {
+                true => u64::from(!priority.to_bits()),
+                false => 1 << 63 | morton(bounds.center, model.info().lattice.max_coordinate()),
+            };
+            ranked.push((!band(priority), place, op));
+        }
     }
     ranked.sort_unstable();
-    let mut waiting: OpSet = ops.iter().copied().collect();
+    let mut waiting = Waiting::new(model, ops);
     let mut out = Vec::with_capacity(ops.len());
     let mut stack = Vec::new();
     for (_, _, op) in ranked {
@@ -49,6 +57,37 @@ pub(super) fn sending_order(model: &PackedModel, scorer: &Scorer, ops: &[u32]) -
     Ok(out)
 }
 
+/// Ops that were not entered yet.
+enum Waiting {
+    /// A bit for each op of the model.
+    Most(Vec<u64>),
+    Few(OpSet),
+}
+
+impl Waiting {
+    fn new(model: &PackedModel, ops: &[u32]) -> Self {
+        if ops.len() < (model.op_count() / BITS_FROM) as usize {
+            return Self::Few(ops.iter().copied().collect());
+        }
+        let mut bits = vec![0; model.op_count().div_ceil(64) as usize];
+        ops.iter().for_each(|&op| bits[op as usize / 64] |= 1 << (op % 64));
+        Self::Most(bits)
+    }
+
+    /// Takes an op out; whether it was there.
+    #[inline]
+    fn remove(&mut self, op: u32) -> bool {
+        match self {
+            Self::Few(ops) => ops.remove(&op),
+            Self::Most(bits) => bits.get_mut(op as usize / 64).is_some_and(|bits| {
+                let was_there = *bits >> (op % 64) & 1 != 0;
+                *bits &= !(1 << (op % 64));
+                was_there
+            }),
+        }
+    }
+}
+
 /// Number of the band of a priority: its octave.
 fn band(priority: f32) -> u32 {
     priority.to_bits() >> 23
@@ -57,11 +96,11 @@ fn band(priority: f32) -> u32 {
 /// Takes `op` up if it waits.
 fn enter(
     model: &PackedModel,
-    waiting: &mut OpSet,
+    waiting: &mut Waiting,
     stack: &mut Vec<(u32, [u32; 3], usize)>,
     op: u32,
 ) -> Result<(), PackError> {
-    if waiting.remove(&op) {
+    if waiting.remove(op) {
         let parents = if op < model.spawn_count() { [NO_OP; 3] } else { model.parents(op)?.0 };
         stack.push((op, parents, 0));
     }
