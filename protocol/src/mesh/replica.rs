@@ -10,8 +10,9 @@ use super::bits::SlotSet;
 use super::digest::{face_hash, vertex_hash};
 use super::dirty::DirtySlots;
 use super::fan::{Cut, Fan};
-use super::growth::{and_an_eighth, reserve_an_eighth};
+use super::growth::{and_a_sixteenth, reserve_a_sixteenth};
 use super::patch::{HalfEdge, NO_HALF_EDGE, Patch, PatchError};
+use super::references::References;
 use crate::ids::VertexSlot;
 use crate::limits::MAX_VERTEX_SLOTS;
 
@@ -93,12 +94,12 @@ struct Move {
 
 /// The current mesh. See the module.
 ///
-/// Memory: 83 bytes per slot and a few bits, plus 16 for models whose placement moves vertices, and at most an eighth more.
+/// Memory: 80 bytes per slot and a few bits, plus 16 for models whose placement moves vertices, and at most a sixteenth more.
 #[derive(Clone, Debug)]
 pub struct Replica {
     /// One past the largest vertex slot ever used.
     slot_end: u32,
-    // Per vertex slot, and room for as many more as an eighth.
+    // Per vertex slot, and room for as many more as a sixteenth.
     position: Vec<[i32; 3]>,
     color: Vec<[u8; 3]>,
     /// `s` of the split that made the slot, `SPAWNED | address`, or `NONE` for base slots and free ones.
@@ -108,7 +109,7 @@ pub struct Replica {
     /// `last_op` of `s` before the split that made this slot.
     prev_op: Vec<u32>,
     /// At op addresses: how many references applied ops hold.
-    references: Vec<u32>,
+    references: References,
     /// Any face slot around the vertex. A hint without meaning for the other end.
     some_face: Vec<u32>,
     /// Displacements of `s`; as long as needed, empty for placements that keep `s`.
@@ -148,7 +149,7 @@ impl Replica {
             origin: Vec::new(),
             last_op: Vec::new(),
             prev_op: Vec::new(),
-            references: Vec::new(),
+            references: References::default(),
             some_face: Vec::new(),
             moves: Vec::new(),
             corner: Vec::new(),
@@ -324,7 +325,7 @@ impl Replica {
         self.last_op[s.index()] = t;
         self.last_op[t as usize] = t;
         self.origin[t as usize] = s.0;
-        self.references[t as usize] = 0;
+        self.references.clear(t);
         self.collapsible.insert(t);
         self.put_vertex(t, vertex.position, vertex.color);
         if let Some(dirty) = &mut self.dirty {
@@ -333,7 +334,7 @@ impl Replica {
         self.shift_vertex(s.0, vertex.s_move, vertex.s_color_move);
         if vertex.s_move != [0; 3] || vertex.s_color_move != [0; 3] || !self.moves.is_empty() {
             if self.moves.len() <= t as usize {
-                reserve_an_eighth(&mut self.moves, t as usize + 1);
+                reserve_a_sixteenth(&mut self.moves, t as usize + 1);
                 self.moves.resize(t as usize + 1, Move::default());
             }
             self.moves[t as usize] = Move { position: vertex.s_move, color: vertex.s_color_move };
@@ -506,7 +507,7 @@ impl Replica {
         let address = slots[0];
         self.insert_patch(patch, twins, &slots, address);
         self.collapsible.insert(address);
-        self.references[address as usize] = 0;
+        self.references.clear(address);
         self.spawned_ids.insert(id);
         self.spawned_slots += slots.len();
         let spawn = Spawn { id, slots: slots.into_boxed_slice(), faces: patch.faces.len() as u32 };
@@ -558,7 +559,8 @@ impl Replica {
         self.position.capacity() * 12
             + self.color.capacity() * 3
             + (self.origin.capacity() + self.last_op.capacity() + self.prev_op.capacity()) * 4
-            + (self.references.capacity() + self.some_face.capacity()) * 4
+            + self.some_face.capacity() * 4
+            + self.references.heap_bytes()
             + self.moves.capacity() * size_of::<Move>()
             + (self.corner.capacity() + self.twin.capacity()) * 12
             + self.occupied.heap_bytes()
@@ -586,18 +588,18 @@ impl Replica {
         }
     }
 
-    /// Makes room for all slots up to the end and an eighth more: a server holds thousands of replicas, and what doubling leaves
+    /// Makes room for all slots up to the end and a sixteenth more: a server holds thousands of replicas, and what doubling leaves
     /// free would be a third of all.
     #[cold]
     #[inline(never)]
     fn grow(&mut self) {
-        let slots = and_an_eighth(self.slot_end as usize);
+        let slots = and_a_sixteenth(self.slot_end as usize);
         extend(&mut self.position, slots, [0; 3]);
         extend(&mut self.color, slots, [0; 3]);
         extend(&mut self.origin, slots, NONE);
         extend(&mut self.last_op, slots, NONE);
         extend(&mut self.prev_op, slots, NONE);
-        extend(&mut self.references, slots, 0);
+        self.references.extend(slots);
         extend(&mut self.some_face, slots, 0);
         extend(&mut self.corner, 2 * slots, NO_FACE);
         extend(&mut self.twin, 2 * slots, [NO_HALF_EDGE; 3]);
@@ -730,16 +732,14 @@ impl Replica {
 
     fn add_reference(&mut self, address: u32) {
         if address != NONE {
-            self.references[address as usize] += 1;
+            self.references.add(address);
             self.collapsible.remove(address);
         }
     }
 
     fn drop_reference(&mut self, address: u32, released: &mut Vec<VertexSlot>) {
         if address != NONE {
-            let count = &mut self.references[address as usize];
-            *count -= 1;
-            if *count == 0 {
+            if self.references.drop_one(address) == 0 {
                 self.collapsible.insert(address);
                 released.push(VertexSlot(address));
             }

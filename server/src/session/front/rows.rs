@@ -1,6 +1,6 @@
 //! One row for each op that a front holds, found by a hash of its id and scanned as plain arrays.
 
-use lodestream_protocol::mesh::reserve_an_eighth;
+use lodestream_protocol::mesh::reserve_a_sixteenth;
 
 use super::super::op_index::OpIndex;
 use super::motion::{SumAt, Sums};
@@ -188,9 +188,9 @@ impl Rows {
 
     /// Makes room for so many in all.
     pub(super) fn reserve(&mut self, len: usize) {
-        reserve_an_eighth(&mut self.ops, len);
-        reserve_an_eighth(&mut self.dues, len);
-        reserve_an_eighth(&mut self.states, len);
+        reserve_a_sixteenth(&mut self.ops, len);
+        reserve_a_sixteenth(&mut self.dues, len);
+        reserve_a_sixteenth(&mut self.states, len);
         let ops = &self.ops;
         self.index.reserve(len, |row| ops[row as usize]);
     }
@@ -210,9 +210,9 @@ impl Rows {
         let (ops, new) = (&self.ops, self.ops.len());
         let row = self.index.find_or_insert(op, new as u32, |row| ops[row as usize]) as usize;
         if row == new {
-            reserve_an_eighth(&mut self.ops, new + 1);
-            reserve_an_eighth(&mut self.dues, new + 1);
-            reserve_an_eighth(&mut self.states, new + 1);
+            reserve_a_sixteenth(&mut self.ops, new + 1);
+            reserve_a_sixteenth(&mut self.dues, new + 1);
+            reserve_a_sixteenth(&mut self.states, new + 1);
             self.ops.push(op);
             self.dues.push(Due::NEVER);
             self.states.push(State::default());
