@@ -136,7 +136,8 @@ impl Goal {
                     stale.judge(model, &scorer, op, slot, update.lambda)?;
                 }
             }
-            tidy(waiting, |op| front.has(op) && !mirror.is_applied(op));
+            // Most of them were applied since.
+            tidy(waiting, |op| !mirror.is_applied(op) && front.has(op));
         } else {
             *waiting = front.members().filter(|&op| !mirror.is_applied(op)).collect();
             *stale = Stale::of(mirror, |op| front.has(op));

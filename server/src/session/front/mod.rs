@@ -100,7 +100,8 @@ pub(crate) struct Front {
     /// Triangles of base and closure.
     triangles: u32,
     fills: Vec<u32>,
-    touched: Vec<u32>,
+    /// Rows that may have changed, with their ops as in `work`.
+    touched: Vec<u64>,
     trend: Trend,
     /// Threshold of the front that was there before, if any.
     before: Option<f32>,
@@ -309,8 +310,8 @@ impl Front {
     }
 
     pub(crate) fn heap_bytes(&self) -> usize {
-        let work = 2 * (self.work.capacity() + self.pass.capacity());
-        let lists = self.fills.capacity() + self.touched.capacity() + work + self.stack.capacity();
+        let work = 2 * (self.work.capacity() + self.pass.capacity() + self.touched.capacity());
+        let lists = self.fills.capacity() + work + self.stack.capacity();
         self.rows.heap_bytes() + self.motion.heap_bytes() + self.spawns.capacity() * size_of::<SpawnRow>() + lists * 4
     }
 
@@ -356,8 +357,10 @@ impl Front {
             (out.lambda, out.error, out.is_limited) = (filled.lambda, Some(filled.error), true);
         }
         let touched = self.touched.len();
-        for op in self.touched.drain(..) {
-            let row = self.rows.find(op).expect("rows are removed below");
+        // Rows stay where they are until all of these were looked at.
+        self.stack.clear();
+        for entry in self.touched.drain(..) {
+            let (op, row) = ((entry >> 32) as u32, entry as u32 as usize);
             let state = &mut self.rows.states[row];
             let was_member = state.flags & WAS_MEMBER != 0;
             state.flags &= !(TOUCHED | WAS_MEMBER);
@@ -366,11 +369,14 @@ impl Front {
                 out.joined.push(op);
             }
             if !is_member {
-                self.rows.remove(op);
+                self.stack.push(op);
                 if was_member {
                     out.left.push(op);
                 }
             }
+        }
+        for op in self.stack.drain(..) {
+            self.rows.remove(op);
         }
         // A first view touches as much as a thousand others.
         give_back(&mut self.touched, touched);
@@ -848,7 +854,7 @@ impl Front {
         let state = &mut self.rows.states[row];
         if state.flags & TOUCHED == 0 {
             state.flags |= if state.is_member() { TOUCHED | WAS_MEMBER } else { TOUCHED };
-            self.touched.push(op);
+            self.touched.push(u64::from(op) << 32 | row as u64);
         }
     }
 
