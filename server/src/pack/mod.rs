@@ -20,7 +20,6 @@ mod spawns;
 #[cfg(any(test, feature = "testing"))]
 pub mod testing;
 mod thumbnail;
-mod touch;
 mod verify;
 mod write;
 

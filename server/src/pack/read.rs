@@ -360,18 +360,6 @@ impl PackedModel {
         Ok((self.op_page(page)?, (op - (page << PAGE_SHIFT)) as usize))
     }
 
-    /// The same if the page is ready.
-    #[inline(always)]
-    pub(super) fn ready_row(&self, op: u32) -> Option<(PageView<'_>, usize)> {
-        if op >= self.context.ops {
-            return None;
-        }
-        let page = op >> PAGE_SHIFT;
-        let bytes = self.op_pages.warm(self.file(), page)?;
-        let (_, ops, spawns) = self.context.rows(page);
-        Some((PageView { bytes, ops, spawns }, (op - (page << PAGE_SHIFT)) as usize))
-    }
-
     #[inline(always)]
     fn op_page(&self, page: u32) -> Result<PageView<'_>, PackError> {
         match self.op_pages.warm(self.file(), page) {

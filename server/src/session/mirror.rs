@@ -41,9 +41,6 @@ pub(crate) struct BatchPlan<'a> {
 /// Most triangles that one batch frees, by half as many collapses, see [`MOST_SPLITS_AT_LIMIT`](super::MOST_SPLITS_AT_LIMIT).
 const MAX_FREED: u32 = 2048;
 
-/// Splits whose records are read together.
-const READ_AT_ONCE: usize = 64;
-
 /// Replica, cache and contexts as the client has them, and the ops behind the slots.
 #[derive(Debug)]
 pub(crate) struct Mirror {
@@ -220,13 +217,7 @@ fn split(
     // neighbouring faces its vertex is among those that the round before touched.
     let mut by_round: Vec<Vec<(u32, SplitFields)>> = Vec::new();
     let mut round_of: OpMap<u32> = OpMap::default();
-    for (number, &op) in ops.iter().enumerate() {
-        if number % READ_AT_ONCE == 0 {
-            model.touch_fields(&ops[number..ops.len().min(number + READ_AT_ONCE)]);
-        }
-        if op < model.spawn_count() {
-            continue;
-        }
+    for &op in ops.iter().filter(|&&op| op >= model.spawn_count()) {
         let fields = model.split(op)?;
         let round = fields.named_parents().filter_map(|parent| round_of.get(&parent)).map(|round| round + 1).max();
         let round = round.unwrap_or(0);

@@ -51,7 +51,7 @@ const OVERSHOOT: u32 = 4;
 /// near the threshold is otherwise looked at again and again before it has passed it.
 const MOVING_FACTOR: f32 = 1.1;
 /// Rows whose bounds are read before the first of them is looked at, so that the waits for memory overlap.
-const READ_AT_ONCE: usize = 32;
+const READ_AT_ONCE: usize = 16;
 
 /// How far an update goes where the triangle limit binds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -552,7 +552,6 @@ impl Front {
             while !left.is_empty() {
                 let (these, others) = left.split_at(left.len().min(READ_AT_ONCE));
                 left = others;
-                self.touch_near(context, these)?;
                 let mut glances = [Glance::NOTHING; READ_AT_ONCE];
                 for (glance, &entry) in glances.iter_mut().zip(these) {
                     *glance = self.glance_at(context, (entry >> 32) as u32, entry as u32 as usize)?;
@@ -585,36 +584,6 @@ impl Front {
             *flags |= QUEUED;
             self.work.push(u64::from(op) << 32 | row as u64);
         }
-    }
-
-    /// Brings near what looks at wanted splits will probably need.
-    fn touch_near(&self, context: &Context<'_>, entries: &[u64]) -> Result<(), PackError> {
-        let (model, first_split) = (context.model, context.model.spawn_count());
-        let mut splits = [NO_OP; READ_AT_ONCE];
-        for (split, &entry) in splits.iter_mut().zip(entries) {
-            let op = (entry >> 32) as u32;
-            if op >= first_split && self.rows.states[entry as u32 as usize].flags & WANTED != 0 {
-                *split = op;
-            }
-        }
-        model.touch_children(&splits);
-        let mut tested = [NO_OP; 3 * READ_AT_ONCE];
-        let mut count = 0;
-        for (&split, &entry) in splits.iter().zip(entries).filter(|(split, _)| **split != NO_OP) {
-            let flags = self.rows.states[entry as u32 as usize].flags;
-            for (child, is_wanted) in model.children(split)?.into_iter().zip(CHILD_IS_WANTED) {
-                if flags & is_wanted == 0 {
-                    tested[count] = child;
-                    count += 1;
-                }
-            }
-            if flags & (CHILD_IS_WANTED[0] | CHILD_IS_WANTED[1]) == 0 {
-                tested[count] = split;
-                count += 1;
-            }
-        }
-        model.touch_bounds(&tested[..count]);
-        Ok(())
     }
 
     /// Reads what a look at a wanted split will probably need.
