@@ -74,8 +74,8 @@ const _: () = assert!(2 * MOST_SPLITS < MAX_OPS_PER_BATCH as usize);
 const BYTES_PER_SPAWNED_FACE: usize = 1;
 const BYTES_PER_SPAWNED_COLOR: usize = 3;
 
-/// Memory that a triangle is taken to cost a session: half a vertex, 88 bytes in the replica and 30 in the mirror and the plan,
-/// up to twice that while arenas grow, and a quarter of an entry of the cache.
+/// Memory that a triangle is taken to cost a session: half a vertex, 85 bytes in the replica and 50 in the mirror and the front,
+/// up to twice that while arrays grow, and a quarter of an entry of the cache.
 const BYTES_PER_TRIANGLE: u64 = 160;
 
 /// What a server decides for all its sessions.
@@ -497,6 +497,9 @@ impl Session {
         if let Some(mut plan) = work.next_batch(&self.model, mirror, running.goal.stale(), limit, allowance)? {
             let (ops, counts, applied) = mirror.batch(&self.model, &mut plan)?;
             work.next += applied;
+            if work.next == work.pending.len() {
+                (work.pending, work.next) = (Vec::new(), 0);
+            }
             running.last_seq.0 += 1;
             self.stats.batches += 1;
             self.stats.splits += u64::from(counts.splits);

@@ -31,6 +31,14 @@ impl OpIndex {
         }
     }
 
+    /// Keeps no more room than for so many, or for what it holds.
+    pub(super) fn shrink(&mut self, len: usize, op_of: impl Fn(u32) -> u32) {
+        let entries = 17 * len.max(self.len) / 12;
+        if entries < self.entries.len() {
+            self.resize(entries, 0, &op_of);
+        }
+    }
+
     #[inline]
     fn home(&self, op: u32) -> usize {
         // Ids come from the pack, so nobody outside chooses them.

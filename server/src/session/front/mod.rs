@@ -257,6 +257,7 @@ impl Front {
         for op in self.stack.drain(..) {
             self.rows.remove(op);
         }
+        self.rows.give_back();
         // A first view touches as much as a thousand others.
         give_back(&mut self.touched, touched);
         give_back(&mut self.work, touched);

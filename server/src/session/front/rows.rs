@@ -195,6 +195,19 @@ impl Rows {
         self.index.reserve(len, |row| ops[row as usize]);
     }
 
+    /// Gives memory back that is far more than what the rows take: what a camera leaves may be most of what it saw.
+    pub(super) fn give_back(&mut self) {
+        let used = self.ops.len();
+        if self.ops.capacity() > (4 * used).max(1024) {
+            let room = 2 * used;
+            self.ops.shrink_to(room);
+            self.dues.shrink_to(room);
+            self.states.shrink_to(room);
+            let ops = &self.ops;
+            self.index.shrink(room, |row| ops[row as usize]);
+        }
+    }
+
     #[inline]
     pub(super) fn find(&self, op: u32) -> Option<usize> {
         self.index.find(op, |row| self.ops[row as usize]).map(|row| row as usize)
@@ -270,6 +283,19 @@ mod tests {
             let other = rng.u32(..3000) * 256;
             assert_eq!(rows.find(other).map(|row| rows.states[row].references), twin.get(&other).copied());
         }
+        let before = rows.heap_bytes();
+        for op in rows.ops.clone().into_iter().skip(10) {
+            rows.remove(op);
+            twin.remove(&op);
+            rows.give_back();
+            if op % 64 == 0 {
+                assert!(
+                    twin.iter()
+                        .all(|(&op, &count)| rows.find(op).is_some_and(|row| rows.states[row].references == count))
+                );
+            }
+        }
+        assert!(rows.heap_bytes() < before / 2, "{} of {before}", rows.heap_bytes());
         let found: BTreeMap<u32, u16> =
             rows.ops.iter().zip(&rows.states).map(|(&op, state)| (op, state.references)).collect();
         assert_eq!(found, twin);
