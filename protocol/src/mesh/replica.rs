@@ -738,11 +738,9 @@ impl Replica {
     }
 
     fn drop_reference(&mut self, address: u32, released: &mut Vec<VertexSlot>) {
-        if address != NONE {
-            if self.references.drop_one(address) == 0 {
-                self.collapsible.insert(address);
-                released.push(VertexSlot(address));
-            }
+        if address != NONE && self.references.drop_one(address) == 0 {
+            self.collapsible.insert(address);
+            released.push(VertexSlot(address));
         }
     }
 
