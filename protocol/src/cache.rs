@@ -6,7 +6,7 @@
 //! collapses itself are nested in that vertex's entry and come back with it.
 
 use crate::ids::VertexSlot;
-use crate::mesh::{NewVertex, SplitUndo, reserve_an_eighth};
+use crate::mesh::{NewVertex, SplitUndo, reserve_a_sixteenth};
 
 const NONE: u32 = u32::MAX;
 /// Tag of [`Entry::holder`]: the stack hangs from a slot instead of from another entry.
@@ -34,22 +34,44 @@ pub enum CacheHolder {
     Entry(u32),
 }
 
+/// 48 bytes: what splits displace is apart, see [`SplitCache::moves`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Entry {
-    split: CachedSplit,
+    position: [i32; 3],
+    color: [u8; 3],
+    /// [`CUT_KNOWN`] and [`NESTED_TOP`].
+    flags: u8,
+    left: VertexSlot,
+    right: VertexSlot,
     /// What the owner calls it, see [`SplitCache::label_newest`].
     label: u32,
     /// Next entry below in the same stack.
     below: u32,
     /// What points at this entry: the entry above, or (for a top) `AT_SLOT | slot` or the entry it is nested in.
     holder: u32,
-    /// Whether this entry is the top of a nested stack (then `holder` is the enclosing entry).
-    is_nested_top: bool,
     /// Top of the stack of the inserted vertex's own cached splits.
     nested: u32,
     /// Neighbours in order of pushing.
     older: u32,
     newer: u32,
+}
+
+/// Whether `left` and `right` may be used to guess the cut.
+const CUT_KNOWN: u8 = 1;
+/// Whether the entry is the top of a nested stack (then `holder` is the enclosing entry).
+const NESTED_TOP: u8 = 2;
+
+impl Entry {
+    fn set(&mut self, flag: u8, is_set: bool) {
+        self.flags = if is_set { self.flags | flag } else { self.flags & !flag };
+    }
+}
+
+/// What a split does to the vertex that it splits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Move {
+    s_move: [i32; 3],
+    s_color_move: [u8; 3],
 }
 
 /// Bounded in entries; the oldest entry goes first. Both ends run this code on the same collapses and splits.
@@ -58,6 +80,8 @@ pub struct SplitCache {
     capacity: u32,
     len: u32,
     entries: Vec<Entry>,
+    /// Of entries, as long as needed: empty for placements that keep `s`.
+    moves: Vec<Move>,
     free: Vec<u32>,
     /// Top of each slot's stack.
     tops: Vec<u32>,
@@ -68,7 +92,8 @@ pub struct SplitCache {
 impl SplitCache {
     /// A cache of at most `capacity` entries, nested ones counted.
     pub fn new(capacity: u32) -> Self {
-        Self { capacity, len: 0, entries: Vec::new(), free: Vec::new(), tops: Vec::new(), oldest: NONE, newest: NONE }
+        let (entries, moves) = (Vec::new(), Vec::new());
+        Self { capacity, len: 0, entries, moves, free: Vec::new(), tops: Vec::new(), oldest: NONE, newest: NONE }
     }
 
     /// Entries held.
@@ -87,17 +112,37 @@ impl SplitCache {
     }
 
     /// The split that `slot` would undo next, if it is cached.
-    pub fn top(&self, slot: VertexSlot) -> Option<&CachedSplit> {
+    pub fn top(&self, slot: VertexSlot) -> Option<CachedSplit> {
         match self.tops.get(slot.index()) {
             None | Some(&NONE) => None,
-            Some(&top) => Some(&self.entries[top as usize].split),
+            Some(&top) => Some(self.split_of(top)),
+        }
+    }
+
+    fn split_of(&self, index: u32) -> CachedSplit {
+        let Entry { position, color, flags, left, right, .. } = self.entries[index as usize];
+        let Move { s_move, s_color_move } = self.moves.get(index as usize).copied().unwrap_or_default();
+        let vertex = NewVertex { position, color, s_move, s_color_move };
+        CachedSplit { vertex, left, right, cut_known: flags & CUT_KNOWN != 0 }
+    }
+
+    /// Keeps what the split of an entry displaces.
+    fn put_move(&mut self, index: u32, vertex: &NewVertex) {
+        let moved = Move { s_move: vertex.s_move, s_color_move: vertex.s_color_move };
+        let index = index as usize;
+        if moved != Move::default() && self.moves.len() <= index {
+            reserve_a_sixteenth(&mut self.moves, index + 1);
+            self.moves.resize(index + 1, Move::default());
+        }
+        if let Some(place) = self.moves.get_mut(index) {
+            *place = moved;
         }
     }
 
     /// Makes room for the stack of this slot.
     fn extend_tops(&mut self, slot: VertexSlot) {
         if self.tops.len() <= slot.index() {
-            reserve_an_eighth(&mut self.tops, slot.index() + 1);
+            reserve_a_sixteenth(&mut self.tops, slot.index() + 1);
             self.tops.resize(slot.index() + 1, NONE);
         }
     }
@@ -120,11 +165,14 @@ impl SplitCache {
         self.extend_tops(undo.s);
         let below = self.tops[undo.s.index()];
         let entry = Entry {
-            split: CachedSplit { vertex: undo.vertex, left: undo.left, right: undo.right, cut_known: true },
+            position: undo.vertex.position,
+            color: undo.vertex.color,
+            flags: CUT_KNOWN,
+            left: undo.left,
+            right: undo.right,
             label: NONE,
             below,
             holder: AT_SLOT | undo.s.0,
-            is_nested_top: false,
             nested,
             older: self.newest,
             newer: NONE,
@@ -136,14 +184,15 @@ impl SplitCache {
             }
             None => {
                 let len = self.entries.len() + 1;
-                reserve_an_eighth(&mut self.entries, len);
+                reserve_a_sixteenth(&mut self.entries, len);
                 self.entries.push(entry);
                 self.entries.len() as u32 - 1
             }
         };
+        self.put_move(index, &undo.vertex);
         if nested != NONE {
             self.entries[nested as usize].holder = index;
-            self.entries[nested as usize].is_nested_top = true;
+            self.entries[nested as usize].set(NESTED_TOP, true);
         }
         if below != NONE {
             self.entries[below as usize].holder = index;
@@ -163,7 +212,8 @@ impl SplitCache {
             None | Some(&NONE) => return None,
             Some(&top) => top,
         };
-        let Entry { split, below, nested, .. } = self.entries[index as usize].clone();
+        let split = self.split_of(index);
+        let Entry { below, nested, .. } = self.entries[index as usize];
         self.tops[s.index()] = below;
         if below != NONE {
             self.entries[below as usize].holder = AT_SLOT | s.0;
@@ -172,7 +222,7 @@ impl SplitCache {
             self.extend_tops(t);
             self.tops[t.index()] = nested;
             self.entries[nested as usize].holder = AT_SLOT | t.0;
-            self.entries[nested as usize].is_nested_top = false;
+            self.entries[nested as usize].set(NESTED_TOP, false);
         }
         self.unlink(index);
         Some(split)
@@ -215,7 +265,7 @@ impl SplitCache {
             let below = std::mem::replace(top, index);
             if below != NONE {
                 cache.entries[below as usize].holder = index;
-                cache.entries[below as usize].is_nested_top = false;
+                cache.entries[below as usize].set(NESTED_TOP, false);
             }
             let inside = nested[index as usize];
             if inside != NONE {
@@ -227,15 +277,19 @@ impl SplitCache {
                 CacheHolder::Entry(newer) => (newer, true),
             };
             cache.entries.push(Entry {
-                split: CachedSplit { vertex, left: none, right: none, cut_known: false },
+                position: vertex.position,
+                color: vertex.color,
+                flags: if is_nested_top { NESTED_TOP } else { 0 },
+                left: none,
+                right: none,
                 label,
                 below,
                 holder,
-                is_nested_top,
                 nested: inside,
                 older: index.wrapping_sub(1),
                 newer: if index + 1 == len { NONE } else { index + 1 },
             });
+            cache.put_move(index, &vertex);
         }
         if len > 0 {
             (cache.oldest, cache.newest, cache.len) = (0, len - 1, len);
@@ -257,12 +311,14 @@ impl SplitCache {
 
     /// Forgets every stored cut, as both ends do when a batch says so.
     pub fn forget_cuts(&mut self) {
-        self.entries.iter_mut().for_each(|entry| entry.split.cut_known = false);
+        self.entries.iter_mut().for_each(|entry| entry.set(CUT_KNOWN, false));
     }
 
     /// Bytes of memory held.
     pub fn heap_bytes(&self) -> usize {
-        self.entries.capacity() * size_of::<Entry>() + (self.free.capacity() + self.tops.capacity()) * 4
+        self.entries.capacity() * size_of::<Entry>()
+            + self.moves.capacity() * size_of::<Move>()
+            + (self.free.capacity() + self.tops.capacity()) * 4
     }
 
     fn take_top(&mut self, slot: VertexSlot) -> u32 {
@@ -274,7 +330,7 @@ impl SplitCache {
 
     fn evict_oldest(&mut self) {
         let index = self.oldest;
-        let Entry { below, holder, is_nested_top, nested, .. } = self.entries[index as usize];
+        let Entry { below, holder, flags, nested, .. } = self.entries[index as usize];
         debug_assert!(below == NONE && nested == NONE, "what is below or nested is older");
         if holder & AT_SLOT != 0 {
             // The slot's top, unless the caller has just taken it.
@@ -282,7 +338,7 @@ impl SplitCache {
             if *top == index {
                 *top = NONE;
             }
-        } else if is_nested_top {
+        } else if flags & NESTED_TOP != 0 {
             self.entries[holder as usize].nested = NONE;
         } else {
             self.entries[holder as usize].below = NONE;

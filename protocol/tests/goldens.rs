@@ -78,7 +78,7 @@ fn batches() -> Vec<Vec<u8>> {
     out.push(encoder.finish().0);
 
     let cached = (0..state.replica().slot_end()).find(|&v| state.cache().top(VertexSlot(v)).is_some()).unwrap();
-    let top = *state.cache().top(VertexSlot(cached)).unwrap();
+    let top = state.cache().top(VertexSlot(cached)).unwrap();
     let mut encoder = BatchEncoder::new(&mut state, true);
     encoder.collapse_round(&[]).unwrap();
     encoder.spawns(&[], 100).unwrap();

@@ -9,11 +9,12 @@ mod dirty;
 mod fan;
 mod growth;
 mod patch;
+mod references;
 mod replica;
 
 pub use bits::SlotSet;
 pub use dirty::{Birth, DirtySlots};
 pub use fan::{Cut, Fan};
-pub use growth::reserve_an_eighth;
+pub use growth::reserve_a_sixteenth;
 pub use patch::{Patch, PatchError, twins_of};
 pub use replica::{ApplyError, NewVertex, Replica, SplitUndo, TOUCHED_AT_ONCE};

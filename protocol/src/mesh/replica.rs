@@ -10,8 +10,9 @@ use super::bits::SlotSet;
 use super::digest::{face_hash, vertex_hash};
 use super::dirty::DirtySlots;
 use super::fan::{Cut, Fan};
-use super::growth::{and_an_eighth, reserve_an_eighth};
+use super::growth::{and_a_sixteenth, reserve_a_sixteenth};
 use super::patch::{HalfEdge, NO_HALF_EDGE, Patch, PatchError};
+use super::references::References;
 use crate::ids::{FaceSlot, VertexSlot};
 use crate::limits::MAX_VERTEX_SLOTS;
 
@@ -98,8 +99,6 @@ struct Op {
     origin: u32,
     /// Address of the last op on the vertex (its creation or last split), `NONE` for an untouched base vertex.
     last_op: u32,
-    /// At op addresses: how many references applied ops hold.
-    references: u32,
     /// Any face slot around the vertex. A hint without meaning for the other end.
     some_face: u32,
 }
@@ -113,17 +112,19 @@ struct Face {
 
 /// The current mesh. See the module.
 ///
-/// Memory: 83 bytes per slot and a few bits, plus 16 for models whose placement moves vertices, and at most an eighth more.
+/// Memory: 80 bytes per slot and a few bits, plus 16 for models whose placement moves vertices, and at most a sixteenth more.
 #[derive(Clone, Debug)]
 pub struct Replica {
     /// One past the largest vertex slot ever used.
     slot_end: u32,
-    // Per vertex slot, and room for as many more as an eighth.
+    // Per vertex slot, and room for as many more as a sixteenth.
     position: Vec<[i32; 3]>,
     color: Vec<[u8; 3]>,
     ops: Vec<Op>,
     /// `last_op` of `s` before the split that made this slot.
     prev_op: Vec<u32>,
+    /// At op addresses: how many references applied ops hold.
+    references: References,
     /// Displacements of `s`; as long as needed, empty for placements that keep `s`.
     moves: Vec<Move>,
     // Per face slot.
@@ -159,6 +160,7 @@ impl Replica {
             color: Vec::new(),
             ops: Vec::new(),
             prev_op: Vec::new(),
+            references: References::default(),
             moves: Vec::new(),
             faces: Vec::new(),
             occupied: SlotSet::default(),
@@ -338,7 +340,7 @@ impl Replica {
         self.ops[s.index()].last_op = t;
         self.ops[t as usize].last_op = t;
         self.ops[t as usize].origin = s.0;
-        self.ops[t as usize].references = 0;
+        self.references.clear(t);
         self.collapsible.insert(t);
         self.put_vertex(t, vertex.position, vertex.color);
         if let Some(dirty) = &mut self.dirty {
@@ -347,7 +349,7 @@ impl Replica {
         self.shift_vertex(s.0, vertex.s_move, vertex.s_color_move);
         if vertex.s_move != [0; 3] || vertex.s_color_move != [0; 3] || !self.moves.is_empty() {
             if self.moves.len() <= t as usize {
-                reserve_an_eighth(&mut self.moves, t as usize + 1);
+                reserve_a_sixteenth(&mut self.moves, t as usize + 1);
                 self.moves.resize(t as usize + 1, Move::default());
             }
             self.moves[t as usize] = Move { position: vertex.s_move, color: vertex.s_color_move };
@@ -521,7 +523,7 @@ impl Replica {
         let address = slots[0];
         self.insert_patch(patch, twins, &slots, address);
         self.collapsible.insert(address);
-        self.ops[address as usize].references = 0;
+        self.references.clear(address);
         self.spawned_ids.insert(id);
         self.spawned_slots += slots.len();
         let spawn = Spawn { id, slots: slots.into_boxed_slice(), faces: patch.faces.len() as u32 };
@@ -574,6 +576,7 @@ impl Replica {
             + self.color.capacity() * 3
             + self.ops.capacity() * size_of::<Op>()
             + self.prev_op.capacity() * 4
+            + self.references.heap_bytes()
             + self.moves.capacity() * size_of::<Move>()
             + self.faces.capacity() * size_of::<Face>()
             + self.occupied.heap_bytes()
@@ -601,16 +604,17 @@ impl Replica {
         }
     }
 
-    /// Makes room for all slots up to the end and an eighth more: a server holds thousands of replicas, and what doubling leaves
+    /// Makes room for all slots up to the end and a sixteenth more: a server holds thousands of replicas, and what doubling leaves
     /// free would be a third of all.
     #[cold]
     #[inline(never)]
     fn grow(&mut self) {
-        let slots = and_an_eighth(self.slot_end as usize);
+        let slots = and_a_sixteenth(self.slot_end as usize);
         extend(&mut self.position, slots, [0; 3]);
         extend(&mut self.color, slots, [0; 3]);
-        extend(&mut self.ops, slots, Op { origin: NONE, last_op: NONE, references: 0, some_face: 0 });
+        extend(&mut self.ops, slots, Op { origin: NONE, last_op: NONE, some_face: 0 });
         extend(&mut self.prev_op, slots, NONE);
+        self.references.extend(slots);
         extend(&mut self.faces, 2 * slots, Face { corners: NO_FACE, twins: [NO_HALF_EDGE; 3] });
     }
 
@@ -741,19 +745,15 @@ impl Replica {
 
     fn add_reference(&mut self, address: u32) {
         if address != NONE {
-            self.ops[address as usize].references += 1;
+            self.references.add(address);
             self.collapsible.remove(address);
         }
     }
 
     fn drop_reference(&mut self, address: u32, released: &mut Vec<VertexSlot>) {
-        if address != NONE {
-            let count = &mut self.ops[address as usize].references;
-            *count -= 1;
-            if *count == 0 {
-                self.collapsible.insert(address);
-                released.push(VertexSlot(address));
-            }
+        if address != NONE && self.references.drop_one(address) == 0 {
+            self.collapsible.insert(address);
+            released.push(VertexSlot(address));
         }
     }
 

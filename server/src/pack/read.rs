@@ -340,6 +340,11 @@ impl PackedModel {
         of_spawns.chain(of_splits).map(PageId::Ops).chain(patches.map(PageId::Patches))
     }
 
+    /// Whether all pages [are ready](Self::is_ready).
+    pub(crate) fn is_all_ready(&self) -> bool {
+        self.ready_pages() == self.op_pages.count() + self.spawn_pages.count()
+    }
+
     /// Pages that [are ready](Self::is_ready).
     pub fn ready_pages(&self) -> u32 {
         self.op_pages.checked_count() + self.spawn_pages.checked_count()

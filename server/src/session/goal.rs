@@ -12,7 +12,7 @@ use super::front::{Effort, Front, give_back};
 use super::mirror::Mirror;
 use super::order::sending_order;
 use super::score::Scorer;
-use super::select::{PageAccess, select};
+use super::select::{PageAccess, asks_for_all, select};
 use crate::pack::{PackError, PackedModel, PageId};
 
 /// Views after which what a stale op matters has been judged again. It only decides what lingers until the view has rested, and a moving view
@@ -61,9 +61,14 @@ pub(super) struct Aim {
 }
 
 impl Goal {
-    pub(super) fn heap_bytes(&self) -> usize {
+    pub(super) fn front_bytes(&self) -> usize {
+        self.front.heap_bytes()
+    }
+
+    /// Memory of what waits and of what is stale.
+    pub(super) fn list_bytes(&self) -> usize {
         let stale = self.stale.slots.heap_bytes() + self.stale.reluctant.heap_bytes();
-        self.front.heap_bytes() + self.waiting.capacity() * 4 + stale
+        self.waiting.capacity() * 4 + stale
     }
 
     /// What is to go, as of the last view; less by now.
@@ -131,7 +136,8 @@ impl Goal {
                     stale.judge(model, &scorer, op, slot, update.lambda)?;
                 }
             }
-            tidy(waiting, |op| front.has(op) && !mirror.is_applied(op));
+            // Most of them were applied since.
+            tidy(waiting, |op| !mirror.is_applied(op) && front.has(op));
         } else {
             *waiting = front.members().filter(|&op| !mirror.is_applied(op)).collect();
             *stale = Stale::of(mirror, |op| front.has(op));
@@ -174,6 +180,19 @@ impl Goal {
         scorer: &Scorer,
     ) -> Result<Aim, PackError> {
         self.is_known = false;
+        if asks_for_all(model, access, view) {
+            self.stale = Stale::default();
+            let waiting: Vec<u32> = (0..model.op_count()).filter(|&op| !mirror.is_applied(op)).collect();
+            return Ok(Aim {
+                pending: sending_order(model, scorer, &waiting)?,
+                lambda: scorer.threshold(),
+                error: Some(0.0),
+                is_limited: false,
+                tested: 0,
+                missing: Vec::new(),
+                is_rough: false,
+            });
+        }
         let selection = select(model, scorer, view.triangle_limit, access)?;
         let waiting: Vec<u32> = selection.ops.iter().copied().filter(|&op| !mirror.is_applied(op)).collect();
         self.stale = Stale::of(mirror, |op| selection.set.contains(&op));

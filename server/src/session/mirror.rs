@@ -93,8 +93,14 @@ impl Mirror {
         self.slots.slot(op).is_some()
     }
 
-    pub(crate) fn heap_bytes(&self) -> usize {
-        self.state.heap_bytes() + self.slots.heap_bytes()
+    /// Memory of the coder's contexts.
+    pub(crate) fn coder_bytes(&self) -> usize {
+        self.state.heap_bytes() - self.replica().heap_bytes() - self.state.cache().heap_bytes()
+    }
+
+    /// Memory that knows the ops behind the slots.
+    pub(crate) fn slot_bytes(&self) -> usize {
+        self.slots.heap_bytes()
     }
 
     /// Encodes a batch and applies it. Returns the bytes, what they do, and how many of the plan's ops, counted from the

@@ -74,8 +74,8 @@ const _: () = assert!(2 * MOST_SPLITS < MAX_OPS_PER_BATCH as usize);
 const BYTES_PER_SPAWNED_FACE: usize = 1;
 const BYTES_PER_SPAWNED_COLOR: usize = 3;
 
-/// Memory that a triangle is taken to cost a session: half a vertex, 88 bytes in the replica and 30 in the mirror and the plan,
-/// up to twice that while arenas grow, and a quarter of an entry of the cache.
+/// Memory that a triangle is taken to cost a session: half a vertex, 85 bytes in the replica and 50 in the mirror and the front,
+/// up to twice that while arrays grow, and a quarter of an entry of the cache.
 const BYTES_PER_TRIANGLE: u64 = 160;
 
 /// What a server decides for all its sessions.
@@ -198,6 +198,48 @@ pub struct SessionStats {
     pub heap_bytes: u64,
     /// What it does now.
     pub activity: Activity,
+}
+
+/// Bytes that the parts of a session hold.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SessionMemory {
+    /// The mirror of the client's mesh.
+    pub mesh: usize,
+    /// The mirrored op cache.
+    pub cache: usize,
+    /// Contexts of the coder, the same for any mesh.
+    pub coder: usize,
+    /// Which op is in which slot.
+    pub slots: usize,
+    /// What selection keeps from view to view.
+    pub front: usize,
+    /// Ops that wait to be sent and slots that are to go.
+    pub lists: usize,
+    /// What is kept of a mirror at rest.
+    pub resting: usize,
+    /// Batches that may have to be sent again.
+    pub unacknowledged: usize,
+}
+
+impl SessionMemory {
+    /// The parts by name.
+    pub fn parts(&self) -> [(&'static str, usize); 8] {
+        [
+            ("mesh", self.mesh),
+            ("cache", self.cache),
+            ("coder", self.coder),
+            ("slots", self.slots),
+            ("front", self.front),
+            ("lists", self.lists),
+            ("resting", self.resting),
+            ("unacknowledged", self.unacknowledged),
+        ]
+    }
+
+    /// All of them.
+    pub fn total(&self) -> usize {
+        self.parts().iter().map(|part| part.1).sum()
+    }
 }
 
 /// Pages that a session needs.
@@ -455,6 +497,9 @@ impl Session {
         if let Some(mut plan) = work.next_batch(&self.model, mirror, running.goal.stale(), limit, allowance)? {
             let (ops, counts, applied) = mirror.batch(&self.model, &mut plan)?;
             work.next += applied;
+            if work.next == work.pending.len() {
+                (work.pending, work.next) = (Vec::new(), 0);
+            }
             running.last_seq.0 += 1;
             self.stats.batches += 1;
             self.stats.splits += u64::from(counts.splits);
@@ -548,6 +593,11 @@ impl Session {
         SessionStats { heap_bytes: held as u64, activity, is_confirmed, ..self.stats }
     }
 
+    /// What holds the memory of [`SessionStats::heap_bytes`].
+    pub fn memory(&self) -> SessionMemory {
+        self.running.as_ref().map(Running::memory).unwrap_or_default()
+    }
+
     /// The mirror of the client's mesh, once the client has said hello and while the session does not rest.
     pub fn mirror(&self) -> Option<&Replica> {
         self.running.as_ref()?.mirror.as_ref().map(Mirror::replica)
@@ -616,11 +666,23 @@ impl Session {
 }
 
 impl Running {
+    fn memory(&self) -> SessionMemory {
+        let mirror = self.mirror.as_ref();
+        let of_mirror = |bytes: fn(&Mirror) -> usize| mirror.map_or(0, bytes);
+        SessionMemory {
+            mesh: of_mirror(|mirror| mirror.replica().heap_bytes()),
+            cache: of_mirror(|mirror| mirror.state.cache().heap_bytes()),
+            coder: of_mirror(Mirror::coder_bytes),
+            slots: of_mirror(Mirror::slot_bytes),
+            front: self.goal.front_bytes(),
+            lists: self.goal.list_bytes() + self.work.as_ref().map_or(0, |work| work.pending.capacity() * 4),
+            resting: self.resting.as_ref().map_or(0, |resting| resting.heap_bytes()),
+            unacknowledged: self.unacknowledged.heap_bytes(),
+        }
+    }
+
     fn heap_bytes(&self) -> usize {
-        let work = self.work.as_ref().map_or(0, |work| work.pending.capacity() * 4);
-        let mirror = self.mirror.as_ref().map_or(0, Mirror::heap_bytes);
-        let resting = self.resting.as_ref().map_or(0, |resting| resting.heap_bytes());
-        mirror + self.goal.heap_bytes() + resting + work + self.unacknowledged.heap_bytes()
+        self.memory().total()
     }
 
     fn activity(&self) -> Activity {

@@ -104,6 +104,12 @@ pub fn ops_by_error(model: &PackedModel, error: Option<f64>, limit: u32) -> Resu
     Ok(select(model, &scorer, limit, PageAccess::Blocking)?.ops)
 }
 
+/// Whether P* is known without a look: all ops there are, which can be read, too.
+pub(super) fn asks_for_all(model: &PackedModel, access: PageAccess, view: &View) -> bool {
+    let can_read = access == PageAccess::Blocking || model.is_all_ready();
+    view.complete && u64::from(view.triangle_limit) >= model.info().triangles && can_read
+}
+
 /// Computes P* for a view under a triangle limit, or as much of it as can be told from the pages that were read.
 pub(crate) fn select(
     model: &PackedModel,

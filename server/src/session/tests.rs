@@ -52,6 +52,30 @@ fn a_session_waits_for_pages_without_a_timer_and_wants_each_list_once() {
 }
 
 #[test]
+fn what_asks_for_all_is_what_a_walk_finds() {
+    let model = PackedModel::from_vec(pack()).unwrap();
+    let info = model.info();
+    let limits = [u32::try_from(info.triangles).unwrap(), info.smallest_limit + 100, UNLIMITED_TRIANGLES];
+    let is_for_all = |access, view: &View| select::asks_for_all(&model, access, view);
+    let view = first_words().1;
+    assert!(!is_for_all(PageAccess::ReadAhead, &view), "pages are missing");
+    for triangle_limit in limits {
+        let view = View { triangle_limit, ..view.clone() };
+        let scorer = score::Scorer::new(&view, info);
+        let found = select::select(&model, &scorer, triangle_limit, PageAccess::Blocking).unwrap();
+        let is_all = found.set.len() == model.op_count() as usize && !found.is_limited;
+        assert_eq!(is_for_all(PageAccess::Blocking, &view), is_all, "{triangle_limit}");
+        if is_all {
+            assert_eq!((found.lambda, found.error), (scorer.threshold(), 0.0));
+        }
+    }
+    assert!(model.page_count() > 1 && !is_for_all(PageAccess::Blocking, &View { complete: false, ..view.clone() }));
+    (0..model.page_count()).for_each(|page| model.read_page(PageId::Ops(page)).unwrap());
+    (0..model.spawn_count().div_ceil(256)).for_each(|page| model.read_page(PageId::Patches(page)).unwrap());
+    assert!(is_for_all(PageAccess::ReadAhead, &view), "all pages are there");
+}
+
+#[test]
 fn a_bad_page_ends_the_sessions_that_want_it_and_quarantines_the_model() {
     let mut bytes = pack();
     let at = bytes.len() * 2 / 3;

@@ -115,7 +115,7 @@ impl Replica {
                 for (face, k) in &mut walks {
                     let Face { corners: [a, b, c], twins: [ab, bc, ca] } = self.faces[*face];
                     let (end, next) = [(b, ca), (c, ab), (a, bc)][*k];
-                    seen ^= self.position[end as usize][0] ^ self.ops[*face / 2].references as i32;
+                    seen ^= self.position[end as usize][0] ^ self.ops[*face / 2].origin as i32;
                     if next != NO_HALF_EDGE {
                         (*face, *k) = ((next / 4) as usize, (next % 4).min(2) as usize);
                     }

@@ -67,7 +67,7 @@ pub fn random_batch(
             break;
         }
         for &s in &members {
-            let cached = encoder.rounds.state.cache.top(VertexSlot(s)).copied();
+            let cached = encoder.rounds.state.cache.top(VertexSlot(s));
             let OpState { has_moves, has_colors, .. } = *encoder.rounds.state;
             let resolve = |replica: &Replica, fan: &Fan| {
                 let cut = match cached.and_then(|c| guess_cut(fan, c.left, c.right)) {

@@ -1,6 +1,6 @@
 //! One row for each op that a front holds, found by a hash of its id and scanned as plain arrays.
 
-use lodestream_protocol::mesh::reserve_an_eighth;
+use lodestream_protocol::mesh::reserve_a_sixteenth;
 
 use super::super::op_index::OpIndex;
 use super::motion::{SumAt, Sums};
@@ -188,11 +188,24 @@ impl Rows {
 
     /// Makes room for so many in all.
     pub(super) fn reserve(&mut self, len: usize) {
-        reserve_an_eighth(&mut self.ops, len);
-        reserve_an_eighth(&mut self.dues, len);
-        reserve_an_eighth(&mut self.states, len);
+        reserve_a_sixteenth(&mut self.ops, len);
+        reserve_a_sixteenth(&mut self.dues, len);
+        reserve_a_sixteenth(&mut self.states, len);
         let ops = &self.ops;
         self.index.reserve(len, |row| ops[row as usize]);
+    }
+
+    /// Gives memory back that is far more than what the rows take: what a camera leaves may be most of what it saw.
+    pub(super) fn give_back(&mut self) {
+        let used = self.ops.len();
+        if self.ops.capacity() > (4 * used).max(1024) {
+            let room = 2 * used;
+            self.ops.shrink_to(room);
+            self.dues.shrink_to(room);
+            self.states.shrink_to(room);
+            let ops = &self.ops;
+            self.index.shrink(room, |row| ops[row as usize]);
+        }
     }
 
     #[inline]
@@ -210,9 +223,9 @@ impl Rows {
         let (ops, new) = (&self.ops, self.ops.len());
         let row = self.index.find_or_insert(op, new as u32, |row| ops[row as usize]) as usize;
         if row == new {
-            reserve_an_eighth(&mut self.ops, new + 1);
-            reserve_an_eighth(&mut self.dues, new + 1);
-            reserve_an_eighth(&mut self.states, new + 1);
+            reserve_a_sixteenth(&mut self.ops, new + 1);
+            reserve_a_sixteenth(&mut self.dues, new + 1);
+            reserve_a_sixteenth(&mut self.states, new + 1);
             self.ops.push(op);
             self.dues.push(Due::NEVER);
             self.states.push(State::default());
@@ -270,6 +283,20 @@ mod tests {
             let other = rng.u32(..3000) * 256;
             assert_eq!(rows.find(other).map(|row| rows.states[row].references), twin.get(&other).copied());
         }
+        let before = rows.heap_bytes();
+        assert!(rows.ops.capacity() > 1024, "so few are not given back");
+        for op in rows.ops.clone().into_iter().skip(10) {
+            rows.remove(op);
+            twin.remove(&op);
+            rows.give_back();
+            if op % 64 == 0 {
+                assert!(
+                    twin.iter()
+                        .all(|(&op, &count)| rows.find(op).is_some_and(|row| rows.states[row].references == count))
+                );
+            }
+        }
+        assert!(rows.ops.capacity() <= 1024 && rows.heap_bytes() < before, "{} of {before}", rows.heap_bytes());
         let found: BTreeMap<u32, u16> =
             rows.ops.iter().zip(&rows.states).map(|(&op, state)| (op, state.references)).collect();
         assert_eq!(found, twin);

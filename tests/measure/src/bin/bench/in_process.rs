@@ -37,6 +37,7 @@ pub(crate) fn memory(subject: &Subject, options: &Options, report: &Report) -> a
     let digest = server.mirror().map(|mirror| mirror.digest());
     let vertices = f64::from(client.stats().vertices);
     let moving = server.stats().heap_bytes as f64;
+    let parts = per_vertex(&server, vertices);
     let mut rates = Vec::new();
     let mut rested = 0.0;
     for _ in 0..options.runs {
@@ -49,11 +50,22 @@ pub(crate) fn memory(subject: &Subject, options: &Options, report: &Report) -> a
     }
     let rebuilt = server.stats().heap_bytes as f64;
     let more = || json!({"vertices": vertices, "runs": options.runs});
-    report.line("18 server memory, moving", &subject.name, moving / vertices, "B/vertex", more());
+    report.line("18 server memory, moving", &subject.name, moving / vertices, "B/vertex", parts);
     report.line("18 server memory, moving again", &subject.name, rebuilt / vertices, "B/vertex", more());
     report.line("18 server memory, at rest", &subject.name, rested / vertices, "B/vertex", more());
     report.line("18 mirror rebuilt", &subject.name, median(rates), "ops/s", more());
     Ok(())
+}
+
+/// Bytes per vertex that the parts of a session hold, and the slots that its mesh has for each.
+fn per_vertex(server: &Session, vertices: f64) -> serde_json::Value {
+    let parts = server.memory().parts().into_iter().filter(|part| part.1 > 0);
+    let mut all: serde_json::Map<_, _> =
+        parts.map(|(name, bytes)| (name.to_owned(), json!(bytes as f64 / vertices))).collect();
+    let slots = server.mirror().map_or(0, |mirror| mirror.slot_end());
+    all.insert("vertices".into(), json!(vertices));
+    all.insert("slots".into(), json!(slots));
+    all.into()
 }
 
 /// Row 16: the frames of a complete load, decoded and applied.
@@ -271,9 +283,11 @@ pub(crate) fn view_updates(subject: &Subject, report: &Report) -> anyhow::Result
             (client.replica().map(|mesh| mesh.digest()), server.mirror().map(|mesh| mesh.digest()));
         ensure!(client_digest == server_digest && client.stats().resets == 0, "the two ends disagreed");
         times.sort_by(f64::total_cmp);
-        let memory = server.stats().heap_bytes as f64 / vertices.last().copied().unwrap_or(1.0);
-        let more = json!({"p50": times[times.len() / 2], "vertices": median(vertices), "ops": median(ops), "tested": median(tested), "B/vertex": memory});
         let case = format!("{}, {name}", subject.name);
+        let last = vertices.last().copied().unwrap_or(1.0);
+        let memory = server.stats().heap_bytes as f64 / last;
+        report.line("18 server memory after views", &case, memory, "B/vertex", per_vertex(&server, last));
+        let more = json!({"p50": times[times.len() / 2], "vertices": median(vertices), "ops": median(ops), "tested": median(tested)});
         report.line("14 server time per view update, p99", &case, times[times.len() * 99 / 100], "ms", more);
     }
     Ok(())
