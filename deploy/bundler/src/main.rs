@@ -74,19 +74,22 @@ fn hash(files: &BTreeMap<String, Vec<u8>>) -> String {
 fn write(out: &Path, hash: &str, page: &str, files: &BTreeMap<String, Vec<u8>>) -> Result<()> {
     let aside = out.with_extension("part");
     if aside.exists() {
-        fs::remove_dir_all(&aside)?;
+        fs::remove_dir_all(&aside).with_context(|| format!("cannot remove '{}'", aside.display()))?;
     }
     let folder = aside.join(hash);
-    fs::create_dir_all(&folder)?;
-    fs::write(aside.join(PAGE), page)?;
+    fs::create_dir_all(&folder).with_context(|| format!("cannot make '{}'", folder.display()))?;
+    let write = |path: PathBuf, bytes: &[u8]| {
+        fs::write(&path, bytes).with_context(|| format!("cannot write '{}'", path.display()))
+    };
+    write(aside.join(PAGE), page.as_bytes())?;
     let mut sums = [0; 3];
     println!("{:24} {:>9} {:>9} {:>9}", "bytes of", "plain", "gzip", "brotli");
     for (name, bytes) in files {
         let (gzip, brotli) = (gzip(bytes)?, brotli(bytes)?);
-        fs::write(folder.join(name), bytes)?;
+        write(folder.join(name), bytes)?;
         for (extension, packed) in [("gz", &gzip), ("br", &brotli)] {
             if packed.len() < bytes.len() {
-                fs::write(folder.join(format!("{name}.{extension}")), packed)?;
+                write(folder.join(format!("{name}.{extension}")), packed)?;
             }
         }
         let sizes = [bytes.len(), gzip.len(), brotli.len()];
@@ -95,7 +98,7 @@ fn write(out: &Path, hash: &str, page: &str, files: &BTreeMap<String, Vec<u8>>) 
     }
     println!("{:24} {:9} {:9} {:9}", "all", sums[0], sums[1], sums[2]);
     if out.exists() {
-        fs::remove_dir_all(out)?;
+        fs::remove_dir_all(out).with_context(|| format!("cannot remove '{}'", out.display()))?;
     }
     fs::rename(&aside, out).with_context(|| format!("cannot make '{}'", out.display()))
 }
