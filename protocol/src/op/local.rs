@@ -198,7 +198,7 @@ impl Ring {
     #[cfg(test)]
     pub(crate) fn of_numbers(lengths: &[i32], edges: &[i32], areas: &[i32]) -> Self {
         let mut ring = Self { count: lengths.len(), ..Self::default() };
-        ring.blocks.resize(ring.count / LANES + 1, Block::default());
+        ring.blocks.resize(ring.count.div_ceil(LANES), Block::default());
         for (i, ((&length, &edge), &area)) in lengths.iter().zip(edges).zip(areas).enumerate() {
             let block = &mut ring.blocks[i / LANES];
             block.lengths[i % LANES] = length;
